@@ -1,0 +1,1 @@
+"""Known ground: calibration fields, evaluation against them."""

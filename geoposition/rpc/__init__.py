@@ -1,0 +1,1 @@
+"""The RPC model: rational polynomial camera, its formats and its fit."""

@@ -1,0 +1,1 @@
+"""Thin: arguments to library to files. The command line, experiments and benchmarks."""

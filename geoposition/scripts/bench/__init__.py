@@ -1,0 +1,1 @@
+"""Benchmarks beside peers, side by side in one run."""

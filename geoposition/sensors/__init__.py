@@ -1,0 +1,1 @@
+"""The satellite's side: cameras, instruments, readers."""

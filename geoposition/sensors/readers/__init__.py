@@ -1,0 +1,1 @@
+"""One module per product format; each returns the types of the house."""
