@@ -113,8 +113,8 @@ def geodetic_to_ecef(geodetic: ArrayLike) -> FloatArray:
 def ecef_to_geodetic(ecef_m: ArrayLike) -> FloatArray:
     """(lon_rad, lat_rad, height_m) (..., 3) of ECEF points (..., 3).
 
-    Longitudes are in (−pi, pi]. Right to the rounding of the coordinates (2 nm at the
-    Earth's surface) from the poles to the equator and at all heights; NaN within
+    Longitudes are in (−pi, pi]. Right to the rounding of the coordinates (4 nm, there and
+    back, at the Earth's surface) from the poles to the equator and at all heights; NaN within
     `CENTRE_RADIUS_M` of the centre and where the input is not finite.
     """
     points = as_components(ecef_m, 3, "ecef_m")
