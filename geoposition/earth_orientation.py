@@ -88,7 +88,7 @@ class FixedOrientation:
         return cls(0.0)
 
     def at(self, epoch: Epoch, times_s: ArrayLike) -> OrientationValues:
-        """The same values at all `times_s` (...) seconds after `epoch`."""
+        """Values, all the same, at `times_s` (...) seconds after `epoch`."""
         shape = np.shape(times_s)
         return OrientationValues(
             ut1_minus_tai_s=np.full(shape, self.ut1_minus_utc_s - epoch.tai_minus_utc_s),
@@ -120,7 +120,7 @@ class OrientationTable:
 
     @classmethod
     def shipped(cls) -> OrientationTable:
-        """The table of the installed astropy-iers-data: C04, then Bulletin A (read once)."""
+        """Return the table of the installed astropy-iers-data: C04, then Bulletin A (read once)."""
         return _shipped()
 
     @property
@@ -133,7 +133,7 @@ class OrientationTable:
         return epoch.tai_s >= self.predicted_from_s
 
     def ut1_uncertainty_s(self, epoch: Epoch) -> float:
-        """Standard deviation of UT1 at `epoch` by the table; 1 ms is 0.46 m at the equator."""
+        """Return the table's sigma of UT1 at `epoch`; 1 ms is 0.46 m at the equator."""
         self._day(np.array(epoch.tai_s + epoch.fraction))
         return float(np.interp(epoch.tai_s + epoch.fraction, self.tai_s, self.ut1_sigma_s))
 
@@ -192,8 +192,7 @@ def _lagrange_weights(nodes: FloatArray, u: FloatArray) -> tuple[FloatArray, Flo
 @cache
 def _shipped() -> OrientationTable:
     final = _c04(Path(IERS_B_FILE))
-    rapid = _finals(Path(IERS_A_FILE))
-    rapid, predicted = rapid[0], rapid[1]
+    rapid, predicted = _finals(Path(IERS_A_FILE))
     later = rapid[:, 0] > final[-1, 0]
     rows = np.concatenate([final, rapid[later]])
     mjd = rows[:, 0].astype(np.int64)
@@ -202,12 +201,9 @@ def _shipped() -> OrientationTable:
     offset = np.array([leap_seconds().offset_on_day_s(int(day) - _MJD_2000) for day in mjd], float)
     tai_s = (mjd - _MJD_2000) * float(DAY_S) + offset
     values = np.column_stack([rows[:, 1] - offset, rows[:, 2:6] * _ARCSEC_RAD])
-    first_predicted = int(np.argmax(mjd >= predicted)) if np.any(mjd >= predicted) else -1
+    predicted_from_s = np.min(tai_s[mjd >= predicted], initial=np.inf)
     return OrientationTable(
-        read_only(tai_s),
-        read_only(values),
-        read_only(rows[:, 6]),
-        float(tai_s[first_predicted]) if first_predicted >= 0 else float("inf"),
+        read_only(tai_s), read_only(values), read_only(rows[:, 6]), float(predicted_from_s)
     )
 
 

@@ -16,7 +16,7 @@ from geoposition.ellipsoid import enu_axes, geodetic_to_ecef
 from geoposition.ephemeris import Ephemeris
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import has_result
-from geoposition.pose_table import direction_table, pose_table
+from geoposition.pose_table import direction_table, margin_px, pose_table
 from geoposition.rays import Rays
 from geoposition.sensor_model import GroundPoints, ImagePoints
 
@@ -103,22 +103,38 @@ def _compile(model: PushbroomModel) -> kernels.ModelTable:
     """Build the tables, then fit the start of the inverse location to the direct one."""
     camera, corrections = model.camera, model.corrections
     refraction = corrections.refraction
-    lines, samples = camera.shape
     pose = pose_table(camera, model.ephemeris, model.attitude)
+    directions = direction_table(camera)
     bare = kernels.ModelTable(
-        lines,
-        samples,
-        pose,
-        direction_table(camera),
-        float(corrections.velocity_aberration),
-        float(corrections.light_time),
-        refraction.refractivity * refraction.scale_height_m if refraction else 0.0,
-        refraction.scale_height_m if refraction else 1.0,
-        0.0,
-        np.eye(3),
-        np.zeros(3),
-        1.0,
-        np.zeros((20, 2)),
+        lines=camera.shape[0],
+        samples=camera.shape[1],
+        first_line=pose.first_line,
+        last_line=pose.last_line,
+        margin_px=margin_px(camera.shape[1]),
+        pose_knots=pose.cubic.knots,
+        pose_coefficients=pose.cubic.coefficients,
+        pose_bins=pose.cubic.bins,
+        pose_bin_origin=pose.cubic.bin_origin,
+        pose_bin_scale=pose.cubic.bin_scale,
+        pose_seconds=pose.seconds,
+        ccd_first_sample=directions.first_sample,
+        ccd_last_sample=directions.last_sample,
+        ccd_start=directions.start,
+        ccd_knots=directions.knots,
+        ccd_coefficients=directions.coefficients,
+        ccd_bins=directions.bins,
+        ccd_bin_start=directions.bin_start,
+        ccd_bin_origin=directions.bin_origin,
+        ccd_bin_scale=directions.bin_scale,
+        aberration=float(corrections.velocity_aberration),
+        light_time=float(corrections.light_time),
+        refraction_m=refraction.refractivity * refraction.scale_height_m if refraction else 0.0,
+        scale_height_m=refraction.scale_height_m if refraction else 1.0,
+        mean_range_m=0.0,
+        R_local_ecef=np.eye(3),
+        centre_ecef_m=np.zeros(3),
+        extent_m=1.0,
+        start=np.zeros((20, 2)),
     )
     return _with_start(bare, model.height_range_m)
 
@@ -126,8 +142,8 @@ def _compile(model: PushbroomModel) -> kernels.ModelTable:
 def _with_start(table: kernels.ModelTable, height_range_m: tuple[float, float]) -> kernels.ModelTable:
     """Fit line and sample as cubics of local coordinates over the image and its margin."""
     margin = 0.02 * table.samples
-    low = max(-0.02 * table.lines, table.pose.first_line)
-    high = min(table.lines - 1 + 0.02 * table.lines, table.pose.last_line)
+    low = max(-0.02 * table.lines, table.first_line)
+    high = min(table.lines - 1 + 0.02 * table.lines, table.last_line)
     line = np.linspace(low, high, _START_GRID)
     sample = np.linspace(-margin, table.samples - 1 + margin, _START_GRID)
     heights = np.array(height_range_m)

@@ -1,7 +1,9 @@
-"""Compiled push-broom geometry: line of sight, direct and inverse location.
+"""Compiled push-broom geometry: lines of sight, direct and inverse location.
 
-Scalar functions on the tables of `pose_table`, and parallel loops over points around them. The
-formulas of the corrections are in `corrections`.
+Points go through in blocks of `LANES`. A block's numbers lie in rows of one work array, row r
+of lane i at `w[r * LANES + i]`: table look-ups fill rows lane by lane, and the arithmetic
+between runs over whole rows in loops without branches, which compile to vector instructions.
+The formulas of the corrections are in `corrections`.
 """
 
 from __future__ import annotations
@@ -15,38 +17,75 @@ from numba import njit, prange
 from geoposition.arrays import FlagArray, FloatArray, IntArray
 from geoposition.constants import EARTH_RATE_RAD_S, SPEED_OF_LIGHT_M_S, WGS84_A_M, WGS84_E2
 from geoposition.flags import Flag
-from geoposition.pose_table import DirectionTable, PoseTable
 
-_OK = np.uint8(Flag.OK)
-_OUTSIDE_IMAGE = np.uint8(Flag.OUTSIDE_IMAGE)
-_OUTSIDE_MODEL = np.uint8(Flag.OUTSIDE_MODEL)
-_BAD_INPUT = np.uint8(Flag.BAD_INPUT)
-_NO_INTERSECTION = np.uint8(Flag.NO_INTERSECTION)
-_NOT_CONVERGED = np.uint8(Flag.NOT_CONVERGED)
+LANES = 256
+_BLOCKS_PER_TASK = 16
+
+_OK = int(Flag.OK)
+_OUTSIDE_IMAGE = int(Flag.OUTSIDE_IMAGE)
+_OUTSIDE_MODEL = int(Flag.OUTSIDE_MODEL)
+_BAD_INPUT = int(Flag.BAD_INPUT)
+_NO_INTERSECTION = int(Flag.NO_INTERSECTION)
+_NOT_CONVERGED = int(Flag.NOT_CONVERGED)
 
 _B_OVER_A2 = 1.0 - WGS84_E2
 _B_M = WGS84_A_M * math.sqrt(_B_OVER_A2)
 _MEAN_RADIUS_M = 6371e3
-_MAX_STEPS = 25
-_STEP_TOLERANCE_PX = 2e-5
+_PER_C = 1.0 / SPEED_OF_LIGHT_M_S
+
+MAX_STEPS = 25
+STEP_TOLERANCE_PX = 2e-5
 """A Newton step below this leaves an error of its square's order, far below 1e-6 px."""
+
+# Rows of the work array. First what identifies a point and the state of its iteration.
+_LINE, _SAMPLE, _HEIGHT, _CCD, _TRIES, _AT_END = 0, 1, 2, 3, 4, 5
+_GX, _GY, _GZ, _NX, _NY, _NZ, _KM, _BX, _BY, _BZ = 6, 7, 8, 9, 10, 11, 12, 13, 14, 15
+_KEPT = 16
+# Then what one pass computes: camera position, velocity, quaternion and its rate per line,
+# seconds per line, tangents and their rates per sample, the Newton step, the radius N.
+_SX, _SY, _SZ, _VX, _VY, _VZ, _QX, _QY, _QZ, _QW = 16, 17, 18, 19, 20, 21, 22, 23, 24, 25
+_RX, _RY, _RZ, _RW, _LINE_S, _TA, _TB, _DA, _DB = 26, 27, 28, 29, 30, 31, 32, 33, 34
+_DLINE, _DSAMPLE, _FRONT, _RADIUS = 35, 36, 37, 38
+_ROWS = 39
 
 # NaN must keep its meaning, so only the reorderings of fast-math that respect it.
 _FAST = {"contract", "arcp", "nsz", "reassoc"}
 
 
 class ModelTable(NamedTuple):
-    """All a kernel needs of one rigorous model.
+    """All a kernel needs of one rigorous model; flat, since parallel loops take no nested ones.
 
-    `start` (20, 2) is a cubic in local coordinates p = `R_local_ecef` (P − `centre_ecef_m`) /
-    `extent_m` that gives line and sample within some pixels: where the inverse location begins.
-    `aberration`, `light_time` are 0 or 1, `refraction_m` is (n0 − 1) H or 0, `scale_height_m` H.
+    `pose_*`: piecewise cubic over lines of the position in ECEF (3) and the quaternion xyzw (4)
+    of R_ecef_camera, not normalised; `pose_seconds` (n,) is the time each segment takes,
+    negative in reverse scans. `ccd_*`: piecewise cubics of the camera-frame tangents (2) over
+    the samples of m CCDs, one after the other: those of CCD i are entries `ccd_start[i]` ..
+    `ccd_start[i + 1]` of `ccd_coefficients`, its knots begin at `ccd_start[i] + i`, its bins at
+    `ccd_bin_start[i]`. `start` (20, 2) is a cubic in local coordinates p = `R_local_ecef`
+    (P − `centre_ecef_m`) / `extent_m` that gives line and sample within some pixels: where the
+    inverse location begins. `aberration`, `light_time` are 0 or 1, `refraction_m` is (n0 − 1) H
+    or 0, `scale_height_m` H. `margin_px` are the samples beyond the image still answered.
     """
 
     lines: int
     samples: int
-    pose: PoseTable
-    directions: DirectionTable
+    first_line: float
+    last_line: float
+    margin_px: float
+    pose_knots: FloatArray
+    pose_coefficients: FloatArray
+    pose_bins: IntArray
+    pose_bin_origin: float
+    pose_bin_scale: float
+    pose_seconds: FloatArray
+    ccd_first_sample: FloatArray
+    ccd_last_sample: FloatArray
+    ccd_start: IntArray
+    ccd_knots: FloatArray
+    ccd_coefficients: FloatArray
+    ccd_bins: IntArray
+    ccd_bin_start: IntArray
+    ccd_bin_origin: FloatArray
+    ccd_bin_scale: FloatArray
     aberration: float
     light_time: float
     refraction_m: float
@@ -59,210 +98,327 @@ class ModelTable(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _segment(
-    x: float, knots: FloatArray, first: int, n: int, bins: IntArray, bin0: int, o: float, f: float
-) -> int:
-    """Index of the segment of `x`: knots[first + i] <= x < knots[first + i + 1]."""
-    if n == 1:
-        return 0
-    cell = int((x - o) * f)
-    cell = min(max(cell, 0), 4 * n - 1)
-    k = bins[bin0 + cell]
-    while k > 0 and x < knots[first + k]:
-        k -= 1
-    while k < n - 1 and x >= knots[first + k + 1]:
-        k += 1
-    return int(k)
+def _fill_pose(m: ModelTable, w: FloatArray, n: int) -> None:
+    """Camera pose of the lines in row `_LINE`, which must lie within the table."""
+    knots, c, bins, seconds = m.pose_knots, m.pose_coefficients, m.pose_bins, m.pose_seconds
+    last = len(seconds) - 1
+    cells = len(bins) - 1
+    origin, scale = m.pose_bin_origin, m.pose_bin_scale
+    for i in range(n):
+        line = w[_LINE * LANES + i]
+        cell = int((line - origin) * scale)
+        k = bins[min(max(cell, 0), cells)]
+        while k > 0 and line < knots[k]:
+            k -= 1
+        while k < last and line >= knots[k + 1]:
+            k += 1
+        per_line = 1.0 / (knots[k + 1] - knots[k])
+        s = (line - knots[k]) * per_line
+        for j in range(3):
+            w[(_SX + j) * LANES + i] = c[k, 0, j] + s * (
+                c[k, 1, j] + s * (c[k, 2, j] + s * c[k, 3, j])
+            )
+            w[(_VX + j) * LANES + i] = (
+                c[k, 1, j] + s * (2.0 * c[k, 2, j] + s * 3.0 * c[k, 3, j])
+            ) / seconds[k]
+        for j in range(4):
+            w[(_QX + j) * LANES + i] = c[k, 0, 3 + j] + s * (
+                c[k, 1, 3 + j] + s * (c[k, 2, 3 + j] + s * c[k, 3, 3 + j])
+            )
+            w[(_RX + j) * LANES + i] = per_line * (
+                c[k, 1, 3 + j] + s * (2.0 * c[k, 2, 3 + j] + s * 3.0 * c[k, 3, 3 + j])
+            )
+        w[_LINE_S * LANES + i] = seconds[k] * per_line
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _fill_tangents(m: ModelTable, w: FloatArray, n: int) -> None:
+    """Tangents and their rates of the samples in row `_SAMPLE`, for the CCDs in row `_CCD`.
+
+    The end segments continue beyond the ends.
+    """
+    knots, c, bins = m.ccd_knots, m.ccd_coefficients, m.ccd_bins
+    start, bin_start, origin, scale = m.ccd_start, m.ccd_bin_start, m.ccd_bin_origin, m.ccd_bin_scale
+    for i in range(n):
+        sample = w[_SAMPLE * LANES + i]
+        ccd = int(w[_CCD * LANES + i])
+        first = start[ccd]
+        knot = first + ccd
+        last = start[ccd + 1] - first - 1
+        k = 0
+        if last > 0:
+            cell = int((sample - origin[ccd]) * scale[ccd])
+            cells = bin_start[ccd + 1] - bin_start[ccd] - 1
+            k = bins[bin_start[ccd] + min(max(cell, 0), cells)]
+            while k > 0 and sample < knots[knot + k]:
+                k -= 1
+            while k < last and sample >= knots[knot + k + 1]:
+                k += 1
+        per_sample = 1.0 / (knots[knot + k + 1] - knots[knot + k])
+        s = (sample - knots[knot + k]) * per_sample
+        k += first
+        for j in range(2):
+            w[(_TA + j) * LANES + i] = c[k, 0, j] + s * (
+                c[k, 1, j] + s * (c[k, 2, j] + s * c[k, 3, j])
+            )
+            w[(_DA + j) * LANES + i] = per_sample * (
+                c[k, 1, j] + s * (2.0 * c[k, 2, j] + s * 3.0 * c[k, 3, j])
+            )
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
-def _pose(pose: PoseTable, line: float):  # type: ignore[no-untyped-def]
-    """Position, its rate per second, quaternion, its rate per line, seconds per line."""
-    cubic = pose.cubic
-    n = cubic.coefficients.shape[0]
-    k = _segment(line, cubic.knots, 0, n, cubic.bins, 0, cubic.bin_origin, cubic.bin_scale)
-    low = cubic.knots[k]
-    length = cubic.knots[k + 1] - low
-    s = (line - low) / length
-    c = cubic.coefficients[k]
-    x = c[0, 0] + s * (c[1, 0] + s * (c[2, 0] + s * c[3, 0]))
-    y = c[0, 1] + s * (c[1, 1] + s * (c[2, 1] + s * c[3, 1]))
-    z = c[0, 2] + s * (c[1, 2] + s * (c[2, 2] + s * c[3, 2]))
-    per_second = 1.0 / pose.seconds[k]
-    vx = (c[1, 0] + s * (2.0 * c[2, 0] + s * 3.0 * c[3, 0])) * per_second
-    vy = (c[1, 1] + s * (2.0 * c[2, 1] + s * 3.0 * c[3, 1])) * per_second
-    vz = (c[1, 2] + s * (2.0 * c[2, 2] + s * 3.0 * c[3, 2])) * per_second
-    qx = c[0, 3] + s * (c[1, 3] + s * (c[2, 3] + s * c[3, 3]))
-    qy = c[0, 4] + s * (c[1, 4] + s * (c[2, 4] + s * c[3, 4]))
-    qz = c[0, 5] + s * (c[1, 5] + s * (c[2, 5] + s * c[3, 5]))
-    qw = c[0, 6] + s * (c[1, 6] + s * (c[2, 6] + s * c[3, 6]))
-    return k, s, length, x, y, z, vx, vy, vz, qx, qy, qz, qw
-
-
-@njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
-def _tangents(table: DirectionTable, ccd: int, sample: float):  # type: ignore[no-untyped-def]
-    """Tangents and their rates per sample; the end segments continue beyond the ends."""
-    start = table.start[ccd]
-    first = start + ccd
-    n = table.start[ccd + 1] - start
-    k = _segment(
-        sample,
-        table.knots,
-        first,
-        n,
-        table.bins,
-        table.bin_start[ccd],
-        table.bin_origin[ccd],
-        table.bin_scale[ccd],
-    )
-    low = table.knots[first + k]
-    per_sample = 1.0 / (table.knots[first + k + 1] - low)
-    s = (sample - low) * per_sample
-    c = table.coefficients[start + k]
-    a = c[0, 0] + s * (c[1, 0] + s * (c[2, 0] + s * c[3, 0]))
-    b = c[0, 1] + s * (c[1, 1] + s * (c[2, 1] + s * c[3, 1]))
-    da = (c[1, 0] + s * (2.0 * c[2, 0] + s * 3.0 * c[3, 0])) * per_sample
-    db = (c[1, 1] + s * (2.0 * c[2, 1] + s * 3.0 * c[3, 1])) * per_sample
-    return a, b, da, db
-
-
-@njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
-def _ccd_of(table: DirectionTable, sample: float) -> int:
+def _ccd_of(first_sample: FloatArray, sample: float) -> int:
     """CCD whose part of the row holds `sample`; the outer ones reach on."""
     ccd = 0
-    while ccd < len(table.first_sample) - 1 and sample >= table.first_sample[ccd + 1] - 0.5:
+    while ccd < len(first_sample) - 1 and sample >= first_sample[ccd + 1] - 0.5:
         ccd += 1
     return ccd
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
-def _range_to_height(  # type: ignore[no-untyped-def]
-    x: float, y: float, z: float, ux: float, uy: float, uz: float, h: float
-):
-    """Range along unit u from (x, y, z) to the height surface `h`, and the normal there.
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _sight(
+    n: int, w: FloatArray, aberration: float, light_time: float, mean_range_m: float
+) -> None:
+    """Ground points of the heights in row `_HEIGHT`: rows `_GX` .. `_GZ`, `_RADIUS`.
 
-    First the ellipsoid with semi-axes a + h, b + h, which is up to decimetres off the surface
-    of height h; then one Newton step on the height itself. NaN where the line misses.
+    NaN where the line of sight misses. Rows pose, tangents and `_KM` must be filled.
     """
-    wa = 1.0 / (WGS84_A_M + h)
-    wb = 1.0 / (_B_M + h)
-    px, py, pz = x * wa, y * wa, z * wb
-    dx, dy, dz = ux * wa, uy * wa, uz * wb
-    aa = dx * dx + dy * dy + dz * dz
-    bb = px * dx + py * dy + pz * dz
-    cc = px * px + py * py + pz * pz - 1.0
-    root = bb * bb - aa * cc
-    if not (root >= 0.0 and bb < 0.0 and cc > 0.0):
-        return np.nan, np.nan, np.nan, np.nan, np.nan
-    t = cc / (-bb + math.sqrt(root))
-    gx = x + t * ux
-    gy = y + t * uy
-    gz = z + t * uz
-    mx, my, mz = gx * wa * wa, gy * wa * wa, gz * wb * wb
-    sin2 = mz * mz / (mx * mx + my * my + mz * mz)
-    radius = WGS84_A_M / math.sqrt(1.0 - WGS84_E2 * sin2)
-    along = 1.0 / (radius + h)
-    nx = gx * along
-    ny = gy * along
-    nz = gz / (radius * _B_OVER_A2 + h)
-    height = nx * gx + ny * gy + nz * gz - WGS84_A_M * WGS84_A_M / radius
-    t += (h - height) / (nx * ux + ny * uy + nz * uz)
-    return t, nx, ny, nz, radius
+    g = light_time * EARTH_RATE_RAD_S * _PER_C
+    f = aberration * _PER_C
+    for i in range(n):
+        a, b = w[_TA * LANES + i], w[_TB * LANES + i]
+        x, y, z = w[_SX * LANES + i], w[_SY * LANES + i], w[_SZ * LANES + i]
+        qx, qy, qz = w[_QX * LANES + i], w[_QY * LANES + i], w[_QZ * LANES + i]
+        qw = w[_QW * LANES + i]
+        h = w[_HEIGHT * LANES + i]
+        # Apparent direction: q (a, b, 1) q*, up to the length of q.
+        tx = 2.0 * (qy - qz * b)
+        ty = 2.0 * (qz * a - qx)
+        tz = 2.0 * (qx * b - qy * a)
+        q2 = qx * qx + qy * qy + qz * qz + qw * qw
+        ax = q2 * a + (qw * tx + qy * tz - qz * ty)
+        ay = q2 * b + (qw * ty + qz * tx - qx * tz)
+        az = q2 + (qw * tz + qx * ty - qy * tx)
+        unit = 1.0 / math.sqrt(ax * ax + ay * ay + az * az)
+        ax *= unit
+        ay *= unit
+        az *= unit
+        # True direction unit(u_app − v / c); P = S + range u enters v through the Earth's
+        # rotation. The mean range is some 100 km off at worst, hence 2 cm; then the range of
+        # the height surface, good to decimetres, hence far below a micrometre.
+        fx = f * (w[_VX * LANES + i] - EARTH_RATE_RAD_S * y) + g * y
+        fy = f * (w[_VY * LANES + i] + EARTH_RATE_RAD_S * x) - g * x
+        fz = f * w[_VZ * LANES + i]
+        far = g * mean_range_m
+        ux = ax - (fx + far * ay)
+        uy = ay - (fy - far * ax)
+        uz = az - fz
+        unit = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
+        ux *= unit
+        uy *= unit
+        uz *= unit
+        wa = 1.0 / (WGS84_A_M + h)
+        wb = 1.0 / (_B_M + h)
+        px, py, pz = x * wa, y * wa, z * wb
+        cc = px * px + py * py + pz * pz - 1.0
+        dx, dy, dz = ux * wa, uy * wa, uz * wb
+        aa = dx * dx + dy * dy + dz * dz
+        bb = px * dx + py * dy + pz * dz
+        far = g * (cc / (math.sqrt(bb * bb - aa * cc) - bb))
+        rx = ax - (fx + far * uy)
+        ry = ay - (fy - far * ux)
+        uz = az - fz
+        unit = 1.0 / math.sqrt(rx * rx + ry * ry + uz * uz)
+        ux = rx * unit
+        uy = ry * unit
+        uz *= unit
+        # The ellipsoid with semi-axes a + h, b + h is up to decimetres off the surface of
+        # height h; a Newton step on the height itself, along the exact normal, mends it.
+        dx, dy, dz = ux * wa, uy * wa, uz * wb
+        aa = dx * dx + dy * dy + dz * dz
+        bb = px * dx + py * dy + pz * dz
+        t = cc / (math.sqrt(bb * bb - aa * cc) - bb)
+        gx = x + t * ux
+        gy = y + t * uy
+        gz = z + t * uz
+        mx, my, mz = gx * wa * wa, gy * wa * wa, gz * wb * wb
+        sin2 = mz * mz / (mx * mx + my * my + mz * mz)
+        radius = WGS84_A_M / math.sqrt(1.0 - WGS84_E2 * sin2)
+        along = 1.0 / (radius + h)
+        nx = gx * along
+        ny = gy * along
+        nz = gz / (radius * _B_OVER_A2 + h)
+        unit = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
+        nx *= unit
+        ny *= unit
+        nz *= unit
+        flat = math.sqrt(1.0 - WGS84_E2 * nz * nz)
+        height = nx * gx + ny * gy + nz * gz - WGS84_A_M * flat
+        cos_z = -(nx * ux + ny * uy + nz * uz)
+        dt = (height - h) / cos_z
+        # Refraction: towards the satellite, and back down to the curved surface.
+        bend = w[_KM * LANES + i] / (cos_z * cos_z * cos_z)
+        sx = bend * (-ux - cos_z * nx)
+        sy = bend * (-uy - cos_z * ny)
+        sz = bend * (-uz - cos_z * nz)
+        drop = 0.5 * (sx * sx + sy * sy + sz * sz) / _MEAN_RADIUS_M
+        # Behind the camera, or below the surface: no line of sight (cos_z is NaN for a miss).
+        miss = 0.0 if (t > 0.0 and cos_z > 0.0 and cc > 0.0) else np.nan
+        w[_GX * LANES + i] = gx + dt * ux + sx - drop * nx + miss
+        w[_GY * LANES + i] = gy + dt * uy + sy - drop * ny + miss
+        w[_GZ * LANES + i] = gz + dt * uz + sz - drop * nz + miss
+        w[_RADIUS * LANES + i] = WGS84_A_M / flat
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
-def _bend(  # type: ignore[no-untyped-def]
-    k_m: float, nx: float, ny: float, nz: float, ux: float, uy: float, uz: float
-):
-    """Shift of the ground point by refraction: towards the satellite, at the same height.
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _newton(n: int, w: FloatArray, aberration: float, light_time: float) -> None:
+    """One Newton step towards the image points of the ground points: `_DLINE`, `_DSAMPLE`.
 
-    `k_m` is (n0 − 1) H exp(−h / H); n the normal, u the direction to the ground.
+    Rows pose, tangents, ground, normal, `_KM` must be filled; the bend rows are refined.
+    `_FRONT` becomes positive where the point lies before the camera.
     """
-    cos_z = -(nx * ux + ny * uy + nz * uz)
-    f = k_m / (cos_z * cos_z * cos_z)
-    sx = f * (-ux - cos_z * nx)
-    sy = f * (-uy - cos_z * ny)
-    sz = f * (-uz - cos_z * nz)
-    # A horizontal step leaves a curved surface upwards: come back down.
-    drop = 0.5 * (sx * sx + sy * sy + sz * sz) / _MEAN_RADIUS_M
-    return sx - drop * nx, sy - drop * ny, sz - drop * nz
+    f = aberration * _PER_C
+    g = light_time * EARTH_RATE_RAD_S * _PER_C
+    for i in range(n):
+        x, y, z = w[_SX * LANES + i], w[_SY * LANES + i], w[_SZ * LANES + i]
+        vx, vy, vz = w[_VX * LANES + i], w[_VY * LANES + i], w[_VZ * LANES + i]
+        gx, gy, gz = w[_GX * LANES + i], w[_GY * LANES + i], w[_GZ * LANES + i]
+        # The straight line of sight meets the height surface beside the true point.
+        sx, sy, sz = w[_BX * LANES + i], w[_BY * LANES + i], w[_BZ * LANES + i]
+        ux, uy, uz = gx - sx - x, gy - sy - y, gz - sz - z
+        unit = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
+        ux *= unit
+        uy *= unit
+        uz *= unit
+        nx = w[_NX * LANES + i] - sx / _MEAN_RADIUS_M
+        ny = w[_NY * LANES + i] - sy / _MEAN_RADIUS_M
+        nz = w[_NZ * LANES + i] - sz / _MEAN_RADIUS_M
+        cos_z = -(nx * ux + ny * uy + nz * uz)
+        bend = w[_KM * LANES + i] / (cos_z * cos_z * cos_z)
+        sx = bend * (-ux - cos_z * nx)
+        sy = bend * (-uy - cos_z * ny)
+        sz = bend * (-uz - cos_z * nz)
+        drop = 0.5 * (sx * sx + sy * sy + sz * sz) / _MEAN_RADIUS_M
+        sx -= drop * nx
+        sy -= drop * ny
+        sz -= drop * nz
+        w[_BX * LANES + i] = sx
+        w[_BY * LANES + i] = sy
+        w[_BZ * LANES + i] = sz
+        ux, uy, uz = gx - sx - x, gy - sy - y, gz - sz - z
+        per_range = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
+        ux *= per_range
+        uy *= per_range
+        uz *= per_range
+        # u_app = k u + v / c, with k such that its length is one.
+        fx = f * (vx - EARTH_RATE_RAD_S * y) + g * (gy - sy)
+        fy = f * (vy + EARTH_RATE_RAD_S * x) - g * (gx - sx)
+        fz = f * vz
+        uf = ux * fx + uy * fy + uz * fz
+        stretch = math.sqrt(uf * uf + 1.0 - fx * fx - fy * fy - fz * fz) - uf
+        ax = stretch * ux + fx
+        ay = stretch * uy + fy
+        az = stretch * uz + fz
+        # Into the camera frame: q* a q, up to the length of q.
+        qx, qy, qz = w[_QX * LANES + i], w[_QY * LANES + i], w[_QZ * LANES + i]
+        qw = w[_QW * LANES + i]
+        q2 = qx * qx + qy * qy + qz * qz + qw * qw
+        tx = 2.0 * (qz * ay - qy * az)
+        ty = 2.0 * (qx * az - qz * ax)
+        tz = 2.0 * (qy * ax - qx * ay)
+        cx = q2 * ax + qw * tx + (qz * ty - qy * tz)
+        cy = q2 * ay + qw * ty + (qx * tz - qz * tx)
+        cz = q2 * az + qw * tz + (qy * tx - qx * ty)
+        # Its rate per line: the camera moves, and turns by 2 q* q'.
+        vu = vx * ux + vy * uy + vz * uz
+        move = -w[_LINE_S * LANES + i] * per_range
+        mx, my, mz = move * (vx - vu * ux), move * (vy - vu * uy), move * (vz - vu * uz)
+        tx = 2.0 * (qz * my - qy * mz)
+        ty = 2.0 * (qx * mz - qz * mx)
+        tz = 2.0 * (qy * mx - qx * my)
+        ex = q2 * mx + qw * tx + (qz * ty - qy * tz)
+        ey = q2 * my + qw * ty + (qx * tz - qz * tx)
+        ez = q2 * mz + qw * tz + (qy * tx - qx * ty)
+        rx, ry, rz = w[_RX * LANES + i], w[_RY * LANES + i], w[_RZ * LANES + i]
+        rw = w[_RW * LANES + i]
+        turn = 2.0 / q2
+        ox = turn * (qw * rx - qx * rw - qy * rz + qz * ry)
+        oy = turn * (qw * ry - qy * rw - qz * rx + qx * rz)
+        oz = turn * (qw * rz - qz * rw - qx * ry + qy * rx)
+        ex -= oy * cz - oz * cy
+        ey -= oz * cx - ox * cz
+        ez -= ox * cy - oy * cx
+        per_z = 1.0 / cz
+        ta = cx * per_z
+        tb = cy * per_z
+        da_line = (ex - ta * ez) * per_z
+        db_line = (ey - tb * ez) * per_z
+        da, db = w[_DA * LANES + i], w[_DB * LANES + i]
+        ra = ta - w[_TA * LANES + i]
+        rb = tb - w[_TB * LANES + i]
+        per_det = 1.0 / (db_line * da - da_line * db)
+        w[_DLINE * LANES + i] = (db * ra - da * rb) * per_det
+        w[_DSAMPLE * LANES + i] = (db_line * ra - da_line * rb) * per_det
+        # Before the camera, and on its side of the Earth.
+        w[_FRONT * LANES + i] = min(cz, cos_z)
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
-def _locate(m: ModelTable, line: float, sample: float, h: float):  # type: ignore[no-untyped-def]
-    """Camera and ground point of height `h` (ECEF), and the radius N there; NaN if missed."""
-    k, s, length, x, y, z, vx, vy, vz, qx, qy, qz, qw = _pose(m.pose, line)
-    ccd = _ccd_of(m.directions, sample)
-    a, b, da, db = _tangents(m.directions, ccd, sample)
-    # u = q (a, b, 1) q*, up to the length of q.
-    tx = 2.0 * (qy - qz * b)
-    ty = 2.0 * (qz * a - qx)
-    tz = 2.0 * (qx * b - qy * a)
-    q2 = qx * qx + qy * qy + qz * qz + qw * qw
-    ux = q2 * a + (qw * tx + qy * tz - qz * ty)
-    uy = q2 * b + (qw * ty + qz * tx - qx * tz)
-    uz = q2 + (qw * tz + qx * ty - qy * tx)
-    scale = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
-    ux *= scale
-    uy *= scale
-    uz *= scale
-    w = EARTH_RATE_RAD_S
-    if m.aberration + m.light_time > 0.0:
-        # v / c, with the ground point P = S + range u entering through the Earth's rotation.
-        fx = m.aberration * (vx - w * y) / SPEED_OF_LIGHT_M_S
-        fy = m.aberration * (vy + w * x) / SPEED_OF_LIGHT_M_S
-        fz = m.aberration * vz / SPEED_OF_LIGHT_M_S
-        g = m.light_time * w / SPEED_OF_LIGHT_M_S
-        ax, ay, az = ux, uy, uz
-        reach = m.mean_range_m
-        ux, uy, uz = _turned(
-            ax, ay, az, fx + g * (y + reach * ay), fy - g * (x + reach * ax), fz
-        )
-        if m.light_time > 0.0:
-            # The range matters to some 30 m; the mean range may be 100 km off.
-            reach, nx, ny, nz, radius = _range_to_height(x, y, z, ux, uy, uz, h)
-            ux, uy, uz = _turned(
-                ax, ay, az, fx + g * (y + reach * uy), fy - g * (x + reach * ux), fz
-            )
-    t, nx, ny, nz, radius = _range_to_height(x, y, z, ux, uy, uz, h)
-    gx = x + t * ux
-    gy = y + t * uy
-    gz = z + t * uz
-    if m.refraction_m > 0.0:
-        k_m = m.refraction_m * math.exp(-h / m.scale_height_m)
-        sx, sy, sz = _bend(k_m, nx, ny, nz, ux, uy, uz)
-        gx += sx
-        gy += sy
-        gz += sz
-    return x, y, z, gx, gy, gz, radius
-
-
-@njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
-def _turned(  # type: ignore[no-untyped-def]
-    ax: float, ay: float, az: float, fx: float, fy: float, fz: float
-):
-    """unit(u_app − v / c)."""
-    ux = ax - fx
-    uy = ay - fy
-    uz = az - fz
-    scale = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
-    return ux * scale, uy * scale, uz * scale
-
-
-@njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
-def _pixel_flag(m: ModelTable, line: float, sample: float):  # type: ignore[no-untyped-def]
-    """Flag of an image point before anything is computed with it."""
+def _pixel_flag(m: ModelTable, line: float, sample: float) -> int:
+    """Flag of an image point: within the image, its margin, or beyond."""
     if not (math.isfinite(line) and math.isfinite(sample)):
         return _BAD_INPUT
-    margin = max(100.0, 0.05 * m.samples)
     if not (
-        m.pose.first_line <= line <= m.pose.last_line
-        and -margin <= sample <= m.samples - 1 + margin
+        m.first_line <= line <= m.last_line
+        and -m.margin_px <= sample <= m.samples - 1 + m.margin_px
     ):
         return _OUTSIDE_MODEL
     if -0.5 <= line <= m.lines - 0.5 and -0.5 <= sample <= m.samples - 0.5:
         return _OK
     return _OUTSIDE_IMAGE
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _see_block(
+    m: ModelTable,
+    w: FloatArray,
+    image_px: FloatArray,
+    height_m: FloatArray,
+    height_step: int,
+    flags: FlagArray,
+    first: int,
+    n: int,
+) -> None:
+    """Camera and ground rows, and flags, of points `first` .. `first + n`."""
+    first_sample = m.ccd_first_sample
+    same_km = m.refraction_m * math.exp(-height_m[0] / m.scale_height_m)
+    for i in range(n):
+        line, sample = image_px[first + i, 0], image_px[first + i, 1]
+        h = height_m[(first + i) * height_step]
+        flag = _pixel_flag(m, line, sample)
+        if not math.isfinite(h):
+            flag = _BAD_INPUT
+        if flag > _OUTSIDE_IMAGE:
+            line, sample, h = m.first_line, 0.0, 0.0
+        flags[first + i] = flag
+        w[_LINE * LANES + i] = line
+        w[_SAMPLE * LANES + i] = sample
+        w[_HEIGHT * LANES + i] = h
+        w[_CCD * LANES + i] = _ccd_of(first_sample, sample)
+        w[_KM * LANES + i] = same_km
+    if height_step > 0 and m.refraction_m > 0.0:
+        for i in range(n):
+            w[_KM * LANES + i] = m.refraction_m * math.exp(
+                -w[_HEIGHT * LANES + i] / m.scale_height_m
+            )
+    _fill_pose(m, w, n)
+    _fill_tangents(m, w, n)
+    _sight(n, w, m.aberration, m.light_time, m.mean_range_m)
+    for i in range(n):
+        if flags[first + i] > _OUTSIDE_IMAGE:
+            w[_GX * LANES + i] = np.nan
+        elif not math.isfinite(w[_GX * LANES + i]):
+            flags[first + i] = _NO_INTERSECTION
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=_FAST)
@@ -278,25 +434,21 @@ def direct(
 
     Point i has height `height_m[i * height_step]`: step 0 means one height for all.
     """
-    for i in prange(len(image_px)):
-        line, sample, h = image_px[i, 0], image_px[i, 1], height_m[i * height_step]
-        flag = _pixel_flag(m, line, sample)
-        if not math.isfinite(h):
-            flag = _BAD_INPUT
-        if flag <= _OUTSIDE_IMAGE:
-            x, y, z, gx, gy, gz, radius = _locate(m, line, sample, h)
-            if math.isfinite(gx):
-                p = math.sqrt(gx * gx + gy * gy)
-                geodetic[i, 0] = math.atan2(gy, gx)
-                geodetic[i, 1] = math.atan2(gz, p * (1.0 - WGS84_E2 * radius / (radius + h)))
-                geodetic[i, 2] = h
-            else:
-                flag = _NO_INTERSECTION
-        if flag > _OUTSIDE_IMAGE:
-            geodetic[i, 0] = np.nan
-            geodetic[i, 1] = np.nan
-            geodetic[i, 2] = np.nan
-        flags[i] = flag
+    total = len(image_px)
+    size = LANES * _BLOCKS_PER_TASK
+    for task in prange((total + size - 1) // size):
+        w = np.empty(_ROWS * LANES)
+        for first in range(task * size, min((task + 1) * size, total), LANES):
+            n = min(LANES, total - first)
+            _see_block(m, w, image_px, height_m, height_step, flags, first, n)
+            for i in range(n):
+                gx, gy, gz = w[_GX * LANES + i], w[_GY * LANES + i], w[_GZ * LANES + i]
+                radius, h = w[_RADIUS * LANES + i], w[_HEIGHT * LANES + i]
+                p = math.sqrt(gx * gx + gy * gy) * (1.0 - WGS84_E2 * radius / (radius + h))
+                # gx is NaN where there is no result, and so is all that follows from it.
+                geodetic[first + i, 0] = math.atan2(gy, gx)
+                geodetic[first + i, 1] = math.atan2(gz, p)
+                geodetic[first + i, 2] = h + 0.0 * gx
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=_FAST)
@@ -310,46 +462,29 @@ def rays(
     flags: FlagArray,
 ) -> None:
     """Fill `origin`, `direction` (n, 3) and `flags` (n,): camera to the point at `height_m`."""
-    for i in prange(len(image_px)):
-        line, sample, h = image_px[i, 0], image_px[i, 1], height_m[i * height_step]
-        flag = _pixel_flag(m, line, sample)
-        if not math.isfinite(h):
-            flag = _BAD_INPUT
-        x = y = z = dx = dy = dz = np.nan
-        if flag <= _OUTSIDE_IMAGE:
-            x, y, z, gx, gy, gz, radius = _locate(m, line, sample, h)
-            dx, dy, dz = gx - x, gy - y, gz - z
-            f = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
-            dx *= f
-            dy *= f
-            dz *= f
-            if not math.isfinite(dx):
-                flag = _NO_INTERSECTION
-                x = y = z = np.nan
-        origin[i, 0], origin[i, 1], origin[i, 2] = x, y, z
-        direction[i, 0], direction[i, 1], direction[i, 2] = dx, dy, dz
-        flags[i] = flag
-
-
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _start(m: ModelTable, px: float, py: float, pz: float):  # type: ignore[no-untyped-def]
-    """Approximate line and sample of an ECEF point, from the cubic fitted to the model."""
-    f = 1.0 / m.extent_m
-    cx = (px - m.centre_ecef_m[0]) * f
-    cy = (py - m.centre_ecef_m[1]) * f
-    cz = (pz - m.centre_ecef_m[2]) * f
-    r = m.R_local_ecef
-    e = r[0, 0] * cx + r[0, 1] * cy + r[0, 2] * cz
-    n = r[1, 0] * cx + r[1, 1] * cy + r[1, 2] * cz
-    u = r[2, 0] * cx + r[2, 1] * cy + r[2, 2] * cz
-    line = _cubic(m.start, 0, e, n, u)
-    sample = _cubic(m.start, 1, e, n, u)
-    return line, sample
+    total = len(image_px)
+    size = LANES * _BLOCKS_PER_TASK
+    for task in prange((total + size - 1) // size):
+        w = np.empty(_ROWS * LANES)
+        for first in range(task * size, min((task + 1) * size, total), LANES):
+            n = min(LANES, total - first)
+            _see_block(m, w, image_px, height_m, height_step, flags, first, n)
+            for i in range(n):
+                x, y, z = w[_SX * LANES + i], w[_SY * LANES + i], w[_SZ * LANES + i]
+                none = 0.0 * w[_GX * LANES + i]
+                dx, dy, dz = w[_GX * LANES + i] - x, w[_GY * LANES + i] - y, w[_GZ * LANES + i] - z
+                unit = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
+                origin[first + i, 0] = x + none
+                origin[first + i, 1] = y + none
+                origin[first + i, 2] = z + none
+                direction[first + i, 0] = dx * unit
+                direction[first + i, 1] = dy * unit
+                direction[first + i, 2] = dz * unit
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
 def _cubic(c: FloatArray, j: int, e: float, n: float, u: float) -> float:
-    """Cubic in e, n, u with the 20 terms in the order of `cubic_terms`."""
+    """Cubic in e, n, u with the 20 terms in the order of `pushbroom.cubic_terms`."""
     return (
         c[0, j]
         + e * (c[1, j] + e * (c[4, j] + e * c[10, j] + n * c[11, j] + u * c[12, j]))
@@ -362,182 +497,147 @@ def _cubic(c: FloatArray, j: int, e: float, n: float, u: float) -> float:
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _project(  # type: ignore[no-untyped-def]
+def _begin(
     m: ModelTable,
-    ccd: int,
-    line: float,
-    sample: float,
-    gx: float,
-    gy: float,
-    gz: float,
-    nx: float,
-    ny: float,
-    nz: float,
-    k_m: float,
-):
-    """Newton iteration from (line, sample): image point of ground point g seen by CCD `ccd`."""
-    low, high = m.pose.first_line, m.pose.last_line
+    w: FloatArray,
+    geodetic: FloatArray,
+    ids: IntArray,
+    image_px: FloatArray,
+    flags: FlagArray,
+    first: int,
+    n: int,
+) -> int:
+    """Ground rows and the start of the iteration for the good points; their number."""
+    r, centre, c, first_sample = m.R_local_ecef, m.centre_ecef_m, m.start, m.ccd_first_sample
+    per_extent = 1.0 / m.extent_m
+    good = 0
+    for i in range(first, first + n):
+        lon, lat, h = geodetic[i, 0], geodetic[i, 1], geodetic[i, 2]
+        if not (
+            math.isfinite(lon) and abs(lat) <= 0.5 * math.pi + 1e-12 and -1e5 < h < m.mean_range_m
+        ):
+            flags[i] = _BAD_INPUT
+            image_px[i, 0] = np.nan
+            image_px[i, 1] = np.nan
+            continue
+        sin_lat, cos_lat = math.sin(lat), math.cos(lat)
+        w[_NX * LANES + good] = cos_lat * math.cos(lon)
+        w[_NY * LANES + good] = cos_lat * math.sin(lon)
+        w[_NZ * LANES + good] = sin_lat
+        w[_HEIGHT * LANES + good] = h
+        ids[good] = i
+        good += 1
+    for i in range(good):
+        nx, ny, nz = w[_NX * LANES + i], w[_NY * LANES + i], w[_NZ * LANES + i]
+        h = w[_HEIGHT * LANES + i]
+        radius = WGS84_A_M / math.sqrt(1.0 - WGS84_E2 * nz * nz)
+        gx = (radius + h) * nx
+        gy = (radius + h) * ny
+        gz = (radius * _B_OVER_A2 + h) * nz
+        w[_GX * LANES + i] = gx
+        w[_GY * LANES + i] = gy
+        w[_GZ * LANES + i] = gz
+        cx = (gx - centre[0]) * per_extent
+        cy = (gy - centre[1]) * per_extent
+        cz = (gz - centre[2]) * per_extent
+        e = r[0, 0] * cx + r[0, 1] * cy + r[0, 2] * cz
+        north = r[1, 0] * cx + r[1, 1] * cy + r[1, 2] * cz
+        u = r[2, 0] * cx + r[2, 1] * cy + r[2, 2] * cz
+        w[_LINE * LANES + i] = _cubic(c, 0, e, north, u)
+        w[_SAMPLE * LANES + i] = _cubic(c, 1, e, north, u)
+        w[_BX * LANES + i] = 0.0
+        w[_BY * LANES + i] = 0.0
+        w[_BZ * LANES + i] = 0.0
+        w[_TRIES * LANES + i] = 0.0
+        w[_AT_END * LANES + i] = 0.0
+        w[_KM * LANES + i] = 0.0
     far = 2.0 * m.samples + 1000.0
-    w = EARTH_RATE_RAD_S
-    sx = sy = sz = 0.0
-    at_end = 0
-    for _ in range(_MAX_STEPS):
-        line = min(max(line, low), high)
-        k, s, length, x, y, z, vx, vy, vz, qx, qy, qz, qw = _pose(m.pose, line)
-        # The straight line of sight meets the height surface beside the true point.
-        ux = gx - sx - x
-        uy = gy - sy - y
-        uz = gz - sz - z
-        per_range = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
-        ux *= per_range
-        uy *= per_range
-        uz *= per_range
-        if k_m > 0.0:
-            bx = nx - sx / _MEAN_RADIUS_M
-            by = ny - sy / _MEAN_RADIUS_M
-            bz = nz - sz / _MEAN_RADIUS_M
-            sx, sy, sz = _bend(k_m, bx, by, bz, ux, uy, uz)
-            ux = gx - sx - x
-            uy = gy - sy - y
-            uz = gz - sz - z
-            per_range = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
-            ux *= per_range
-            uy *= per_range
-            uz *= per_range
-        # u_app = k u + v / c with k such that its length is one.
-        fx = (m.aberration * (vx - w * y) + m.light_time * w * (gy - sy)) / SPEED_OF_LIGHT_M_S
-        fy = (m.aberration * (vy + w * x) - m.light_time * w * (gx - sx)) / SPEED_OF_LIGHT_M_S
-        fz = m.aberration * vz / SPEED_OF_LIGHT_M_S
-        uf = ux * fx + uy * fy + uz * fz
-        f2 = fx * fx + fy * fy + fz * fz
-        stretch = math.sqrt(uf * uf + 1.0 - f2) - uf
-        ax = stretch * ux + fx
-        ay = stretch * uy + fy
-        az = stretch * uz + fz
-        # Into the camera frame: q* a q, up to the length of q.
-        q2 = qx * qx + qy * qy + qz * qz + qw * qw
-        cx, cy, cz = _turn_back(qx, qy, qz, qw, q2, ax, ay, az)
-        if not cz > 0.0:
-            return line, sample, _OUTSIDE_MODEL
-        # Rate per line: the camera turns (w_cam = 2 q* q') and moves.
-        c = m.pose.cubic.coefficients[k]
-        per_line = 1.0 / length
-        rx = (c[1, 3] + s * (2.0 * c[2, 3] + s * 3.0 * c[3, 3])) * per_line
-        ry = (c[1, 4] + s * (2.0 * c[2, 4] + s * 3.0 * c[3, 4])) * per_line
-        rz = (c[1, 5] + s * (2.0 * c[2, 5] + s * 3.0 * c[3, 5])) * per_line
-        rw = (c[1, 6] + s * (2.0 * c[2, 6] + s * 3.0 * c[3, 6])) * per_line
-        ox = 2.0 * (qw * rx - qx * rw - qy * rz + qz * ry) / q2
-        oy = 2.0 * (qw * ry - qy * rw - qz * rx + qx * rz) / q2
-        oz = 2.0 * (qw * rz - qz * rw - qx * ry + qy * rx) / q2
-        line_s = m.pose.seconds[k] * per_line
-        vu = vx * ux + vy * uy + vz * uz
-        g = -line_s * per_range
-        ex, ey, ez = _turn_back(
-            qx, qy, qz, qw, q2, g * (vx - vu * ux), g * (vy - vu * uy), g * (vz - vu * uz)
-        )
-        ex -= oy * cz - oz * cy
-        ey -= oz * cx - ox * cz
-        ez -= ox * cy - oy * cx
-        a, b, da, db = _tangents(m.directions, ccd, sample)
-        per_z = 1.0 / cz
-        ta = cx * per_z
-        tb = cy * per_z
-        da_line = (ex - ta * ez) * per_z
-        db_line = (ey - tb * ez) * per_z
-        det = db_line * da - da_line * db
-        d_line = (db * (ta - a) - da * (tb - b)) / det
-        d_sample = (db_line * (ta - a) - da_line * (tb - b)) / det
-        if not (math.isfinite(d_line) and math.isfinite(d_sample)):
-            return line, sample, _NOT_CONVERGED
-        line += d_line
-        sample += d_sample
-        sample = min(max(sample, -far), m.samples + far)
-        if abs(d_line) < _STEP_TOLERANCE_PX and abs(d_sample) < _STEP_TOLERANCE_PX:
-            return line, sample, _OK
-        if line < low or line > high:
-            at_end += 1
-            if at_end > 3:
-                return line, sample, _OUTSIDE_MODEL
-        else:
-            at_end = 0
-    return line, sample, _NOT_CONVERGED
-
-
-@njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
-def _turn_back(  # type: ignore[no-untyped-def]
-    qx: float, qy: float, qz: float, qw: float, q2: float, x: float, y: float, z: float
-):
-    """q* v q, times 1 for a unit q: reference frame to camera frame, scaled by q2."""
-    tx = 2.0 * (qz * y - qy * z)
-    ty = 2.0 * (qx * z - qz * x)
-    tz = 2.0 * (qy * x - qx * y)
-    return (
-        q2 * x + qw * tx + (qz * ty - qy * tz),
-        q2 * y + qw * ty + (qx * tz - qz * tx),
-        q2 * z + qw * tz + (qy * tx - qx * ty),
-    )
+    for i in range(good):
+        # Far from the scene the cubic may point anywhere: bring it back to what the table holds.
+        w[_LINE * LANES + i] = min(max(w[_LINE * LANES + i], m.first_line), m.last_line)
+        w[_SAMPLE * LANES + i] = min(max(w[_SAMPLE * LANES + i], -far), m.samples + far)
+        w[_CCD * LANES + i] = _ccd_of(first_sample, w[_SAMPLE * LANES + i])
+        if m.refraction_m > 0.0:
+            w[_KM * LANES + i] = m.refraction_m * math.exp(
+                -w[_HEIGHT * LANES + i] / m.scale_height_m
+            )
+    return good
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _project_any(  # type: ignore[no-untyped-def]
-    m: ModelTable, gx: float, gy: float, gz: float, nx: float, ny: float, nz: float, k_m: float
-):
-    """Image point on whichever CCD sees the ground point; the first where two overlap."""
-    line, sample = _start(m, gx, gy, gz)
-    if not (math.isfinite(line) and math.isfinite(sample)):
-        line, sample = 0.5 * m.lines, 0.5 * m.samples
-    ccds = len(m.directions.first_sample)
-    ccd = _ccd_of(m.directions, sample)
-    tried = 0
-    best_line, best_sample, best_flag, best_gap = np.nan, np.nan, _OUTSIDE_MODEL, np.inf
-    while tried < 4:
-        line, sample, flag = _project(m, ccd, line, sample, gx, gy, gz, nx, ny, nz, k_m)
-        low = m.directions.first_sample[ccd] - 0.5
-        high = m.directions.last_sample[ccd] + 0.5
-        gap = max(low - sample, sample - high, 0.0)
-        if flag == _OK and ccds > 1 and 0.0 < gap:
-            # Outer ends may be left: there the margin begins.
-            if (ccd == 0 and sample < low) or (ccd == ccds - 1 and sample > high):
-                gap = 0.0
-        if flag != _OK or ccds == 1 or gap == 0.0:
-            return line, sample, flag
-        if gap < best_gap:
-            best_line, best_sample, best_flag, best_gap = line, sample, _OUTSIDE_IMAGE, gap
-        ccd = min(max(ccd + (1 if sample > high else -1), 0), ccds - 1)
-        tried += 1
-    return best_line, best_sample, best_flag
+def _sort_out(
+    m: ModelTable,
+    w: FloatArray,
+    ids: IntArray,
+    image_px: FloatArray,
+    flags: FlagArray,
+    n: int,
+    step: int,
+) -> int:
+    """Write the points that are done; close the ranks of the others; their number.
+
+    A point seen outside its CCD is tried on the neighbour; between CCDs it is lost.
+    """
+    ccds = len(m.ccd_first_sample)
+    far = 2.0 * m.samples + 1000.0
+    left = 0
+    for i in range(n):
+        d_line, d_sample = w[_DLINE * LANES + i], w[_DSAMPLE * LANES + i]
+        line, sample = w[_LINE * LANES + i] + d_line, w[_SAMPLE * LANES + i] + d_sample
+        flag = -1
+        if not (math.isfinite(d_line) and math.isfinite(d_sample)):
+            flag = _NOT_CONVERGED
+        elif max(abs(d_line), abs(d_sample)) < STEP_TOLERANCE_PX:
+            flag = _pixel_flag(m, line, sample)
+            if not w[_FRONT * LANES + i] > 0.0:
+                flag = _OUTSIDE_MODEL
+            ccd = int(w[_CCD * LANES + i])
+            below = sample < m.ccd_first_sample[ccd] - 0.5 and ccd > 0
+            above = sample > m.ccd_last_sample[ccd] + 0.5 and ccd < ccds - 1
+            if below or above:
+                w[_TRIES * LANES + i] += 1.0
+                if w[_TRIES * LANES + i] > 3.0:
+                    flag = _OUTSIDE_MODEL
+                else:
+                    w[_CCD * LANES + i] = ccd - 1.0 if below else ccd + 1.0
+                    flag = -1
+        elif line < m.first_line or line > m.last_line:
+            w[_AT_END * LANES + i] += 1.0
+            if w[_AT_END * LANES + i] > 3.0:
+                flag = _OUTSIDE_MODEL
+        if flag < 0 and step == MAX_STEPS - 1:
+            flag = _NOT_CONVERGED
+        if flag < 0:
+            if left < i:
+                for row in range(_KEPT):
+                    w[row * LANES + left] = w[row * LANES + i]
+                ids[left] = ids[i]
+            w[_LINE * LANES + left] = min(max(line, m.first_line), m.last_line)
+            w[_SAMPLE * LANES + left] = min(max(sample, -far), m.samples + far)
+            left += 1
+        else:
+            found = flag <= _OUTSIDE_IMAGE
+            image_px[ids[i], 0] = line if found else np.nan
+            image_px[ids[i], 1] = sample if found else np.nan
+            flags[ids[i]] = flag
+    return left
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=_FAST)
 def inverse(m: ModelTable, geodetic: FloatArray, image_px: FloatArray, flags: FlagArray) -> None:
     """Fill `image_px` (n, 2) and `flags` (n,) for `geodetic` (n, 3)."""
-    for i in prange(len(geodetic)):
-        lon, lat, h = geodetic[i, 0], geodetic[i, 1], geodetic[i, 2]
-        line = sample = np.nan
-        if not (math.isfinite(lon) and math.isfinite(h) and abs(lat) <= 0.5 * math.pi + 1e-12):
-            flag = _BAD_INPUT
-        else:
-            sin_lat, cos_lat = math.sin(lat), math.cos(lat)
-            radius = WGS84_A_M / math.sqrt(1.0 - WGS84_E2 * sin_lat * sin_lat)
-            nx, ny, nz = cos_lat * math.cos(lon), cos_lat * math.sin(lon), sin_lat
-            gx = (radius + h) * nx
-            gy = (radius + h) * ny
-            gz = (radius * _B_OVER_A2 + h) * nz
-            k_m = 0.0
-            if m.refraction_m > 0.0:
-                k_m = m.refraction_m * math.exp(-h / m.scale_height_m)
-            line, sample, flag = _project_any(m, gx, gy, gz, nx, ny, nz, k_m)
-            if flag == _OUTSIDE_IMAGE:
-                pass
-            elif flag == _OK:
-                flag = _pixel_flag(m, line, sample)
-            if flag <= _OUTSIDE_IMAGE:
-                # The far side of the Earth projects too, through the ground.
-                k, s, length, x, y, z, vx, vy, vz, qx, qy, qz, qw = _pose(m.pose, line)
-                if not (x - gx) * nx + (y - gy) * ny + (z - gz) * nz > 0.0:
-                    flag = _OUTSIDE_MODEL
-            if flag > _OUTSIDE_IMAGE:
-                line = sample = np.nan
-        image_px[i, 0] = line
-        image_px[i, 1] = sample
-        flags[i] = flag
+    total = len(geodetic)
+    size = LANES * _BLOCKS_PER_TASK
+    for task in prange((total + size - 1) // size):
+        w = np.empty(_ROWS * LANES)
+        ids = np.empty(LANES, dtype=np.int64)
+        for first in range(task * size, min((task + 1) * size, total), LANES):
+            n = min(LANES, total - first)
+            n = _begin(m, w, geodetic, ids, image_px, flags, first, n)
+            for step in range(MAX_STEPS):
+                _fill_pose(m, w, n)
+                _fill_tangents(m, w, n)
+                _newton(n, w, m.aberration, m.light_time)
+                n = _sort_out(m, w, ids, image_px, flags, n, step)
+                if n == 0:
+                    break

@@ -17,19 +17,25 @@ from numba import njit, prange
 
 from geoposition.arrays import FlagArray, FloatArray
 from geoposition.constants import WGS84_A_M, WGS84_B_M, WGS84_E2
-from geoposition.flags import Flag
-from geoposition.terrain_grid import LON_LAT, Grid, foot_point, grid_position
+from geoposition.terrain_grid import FAST, LON_LAT, Grid, foot_point, grid_position
 from geoposition.terrain_walk import (
+    ABOVE,
     AT_START,
     CROSSED,
     HOLE,
     OUTSIDE,
     OVER_HOLE,
     OVER_OUTSIDE,
+    MISSED,
     PASSED,
+    patch,
     surface,
     walk,
 )
+
+UNSETTLED: Final = 5
+BAD: Final = 6
+"""Statuses beyond those of `terrain_walk`."""
 
 _BATCH: Final = 256
 _WALK_M3: Final = 1e-3
@@ -42,7 +48,7 @@ _SHELL_SLACK_M: Final = 1.0
 """More than a grown ellipsoid differs from the surface of the same height."""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
 def shell_ranges(
     ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, height_m: float
 ) -> tuple[float, float]:
@@ -62,7 +68,7 @@ def shell_ranges(
     return (-b - root) / a, (-b + root) / a
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
 def _expand(
     grid: Grid,
     ox: float,
@@ -136,3 +142,198 @@ def _expand(
         h2,
         scale2,
     )
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
+def _finish(
+    grid: Grid,
+    ox: float,
+    oy: float,
+    oz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    t: float,
+    rate_row: float,
+    rate_col: float,
+) -> tuple[float, float, float, float]:
+    """Newton steps with exact conversions: (range, lon, lat, height) of the crossing."""
+    x, y, height = 0.0, 0.0, math.nan
+    cos_lat, sin_lat = 1.0, 0.0
+    for _ in range(10):
+        x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
+        cos_lat, sin_lat, p, h = foot_point(x, y, z)
+        row, col = grid_position(grid, x, y, p, cos_lat, sin_lat)
+        ground, by_row, by_col = patch(grid.height_m, row, col)
+        up = sin_lat * dz + cos_lat * (x * dx + y * dy) / p if p > 0.0 else sin_lat * dz
+        step = (ground - h) / (up - by_row * rate_row - by_col * rate_col)
+        height = h
+        if abs(h - ground) < 1e-7 or not abs(step) < 1.0:
+            break
+        t += step
+    return t, math.atan2(y, x), math.atan2(sin_lat, cos_lat), height
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
+def _cross(
+    grid: Grid,
+    ox: float,
+    oy: float,
+    oz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    top_m: float,
+    bottom_m: float,
+    hint_m: float,
+) -> tuple[int, float, float, float, float]:
+    """(status, range, lon, lat, height) of one ray between two heights.
+
+    Starting the expansion where the ray has height `hint_m` makes it fast, nothing else.
+    """
+    nan = math.nan
+    centre, _ = shell_ranges(ox, oy, oz, dx, dy, dz, hint_m)
+    if math.isnan(centre):
+        centre = -(ox * dx + oy * dy + oz * dz)
+    centre = max(centre, 0.0)
+    r0, r1, r2, c0, c1, c2, h0, h1, h2, scale2 = _expand(grid, ox, oy, oz, dx, dy, dz, centre)
+    # the way from top to bottom, by the expansion where it reaches that far
+    disc_top = h1 * h1 - 4.0 * h2 * (h0 - top_m)
+    disc_bottom = h1 * h1 - 4.0 * h2 * (h0 - bottom_m)
+    one_segment = False
+    start, end, reach = centre, centre, 0.0
+    if h1 < 0.0 and disc_top > 0.0 and disc_bottom > 0.0:
+        up = 2.0 * (h0 - top_m) / (-h1 + math.sqrt(disc_top)) + 0.01 / h1
+        down = 2.0 * (h0 - bottom_m) / (-h1 + math.sqrt(disc_bottom)) - 0.01 / h1
+        limit = _WALK_M3 * scale2
+        if centre + up >= 0.0 and -up * up * up < limit and down * down * down < limit:
+            one_segment = True
+            start, end, reach = centre + up, centre + down, down
+    if not one_segment:
+        start, leave = shell_ranges(ox, oy, oz, dx, dy, dz, top_m + _SHELL_SLACK_M)
+        if math.isnan(start) or leave < 0.0:
+            return MISSED, nan, nan, nan, nan
+        start = max(start, 0.0)
+        end, _ = shell_ranges(ox, oy, oz, dx, dy, dz, bottom_m - _SHELL_SLACK_M)
+        if math.isnan(end):
+            end = leave
+        if end < start:
+            return MISSED, nan, nan, nan, nan
+        centre = start
+    over = AT_START
+    for segment in range(_MAX_SEGMENTS):
+        if segment > 0 or not one_segment:
+            r0, r1, r2, c0, c1, c2, h0, h1, h2, scale2 = _expand(
+                grid, ox, oy, oz, dx, dy, dz, centre
+            )
+            # shorter than allowed, since near a pole the allowance shrinks on the way
+            reach = min(end - centre, max(0.7 * (_WALK_M3 * scale2) ** (1.0 / 3.0), 0.01))
+        if math.isnan(r0 + c0):
+            return OUTSIDE, nan, nan, nan, nan
+        status, s, over = walk(
+            grid.height_m,
+            grid.maxima_m,
+            grid.levels,
+            r0,
+            r1,
+            r2,
+            c0,
+            c1,
+            c2,
+            h0,
+            h1,
+            h2,
+            start - centre,
+            reach,
+            over,
+        )
+        if status == CROSSED:
+            if abs(s) * s * s > _EXACT_M3 * scale2 or (grid.kind != LON_LAT and abs(s) > 100.0):
+                centre += s
+                start = max(centre - _BACK_M, start)
+                over = ABOVE
+                continue
+            t = centre + s
+            if t < 0.0:
+                return MISSED, nan, nan, nan, nan
+            if grid.kind != LON_LAT:
+                t, lon, lat, height = _finish(
+                    grid, ox, oy, oz, dx, dy, dz, t, r1 + 2.0 * s * r2, c1 + 2.0 * s * c2
+                )
+                return CROSSED, t, lon, lat, height
+            row = r0 + s * (r1 + s * r2)
+            col = c0 + s * (c1 + s * c2)
+            g = grid.from_grid
+            lon = g[0, 0] + g[0, 1] * row + g[0, 2] * col + grid.middle[4]
+            lat = g[1, 0] + g[1, 1] * row + g[1, 2] * col + grid.middle[5]
+            if lon > math.pi:
+                lon -= 2.0 * math.pi
+            elif lon <= -math.pi:
+                lon += 2.0 * math.pi
+            return CROSSED, t, lon, lat, h0 + s * (h1 + s * h2)
+        if status != PASSED:
+            return status, nan, nan, nan, nan
+        if not centre + reach < end - 1e-6:
+            if over == OVER_HOLE:
+                return HOLE, nan, nan, nan, nan
+            if over == OVER_OUTSIDE:
+                return OUTSIDE, nan, nan, nan, nan
+            return PASSED, nan, nan, nan, nan
+        start = centre + reach
+        centre = start
+    return UNSETTLED, nan, nan, nan, nan
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def crossings(
+    grid: Grid,
+    origin_ecef_m: FloatArray,
+    direction_ecef: FloatArray,
+    top_m: float,
+    bottom_m: float,
+    hint_m: FloatArray,
+    status: FlagArray,
+    range_m: FloatArray,
+    geodetic: FloatArray,
+) -> None:
+    """Fill `status` (n,), `range_m` (n,) and `geodetic` (n, 3) for n rays.
+
+    `hint_m` (n,) are heights near those expected, or empty: then each ray takes that of the
+    one before.
+    """
+    n = origin_ecef_m.shape[0]
+    for batch in prange(-(-n // _BATCH)):
+        hint = 0.5 * (top_m + bottom_m)
+        for k in range(batch * _BATCH, min((batch + 1) * _BATCH, n)):
+            ox, oy, oz = origin_ecef_m[k, 0], origin_ecef_m[k, 1], origin_ecef_m[k, 2]
+            dx, dy, dz = direction_ecef[k, 0], direction_ecef[k, 1], direction_ecef[k, 2]
+            status[k] = BAD
+            range_m[k] = geodetic[k, 0] = geodetic[k, 1] = geodetic[k, 2] = math.nan
+            if not abs((ox + oy + oz) * (dx + dy + dz)) < math.inf:
+                continue
+            if hint_m.shape[0] > 0 and abs(hint_m[k]) < math.inf:
+                hint = hint_m[k]
+            status[k], range_m[k], geodetic[k, 0], geodetic[k, 1], geodetic[k, 2] = _cross(
+                grid, ox, oy, oz, dx, dy, dz, top_m, bottom_m, hint
+            )
+            if status[k] == CROSSED:
+                hint = geodetic[k, 2]
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def heights(grid: Grid, lon_lat_rad: FloatArray, out: FloatArray, inside: FlagArray) -> None:
+    """Fill `out` (n,) with heights at (lon, lat) (n, 2), `inside` where the grid reaches."""
+    for k in prange(lon_lat_rad.shape[0]):
+        lon, lat = lon_lat_rad[k, 0], lon_lat_rad[k, 1]
+        cos_lat = math.cos(lat)
+        row, col = grid_position(
+            grid, math.cos(lon), math.sin(lon), 1.0, cos_lat, math.sin(lat)
+        )
+        rows, cols = grid.height_m.shape
+        # a border point may come out of the longitude's rounding a hair outside
+        if -1e-6 <= row <= rows - 1 + 1e-6:
+            row = min(max(row, 0.0), rows - 1.0)
+        if -1e-6 <= col <= cols - 1 + 1e-6:
+            col = min(max(col, 0.0), cols - 1.0)
+        inside[k] = row >= 0.0 and col >= 0.0 and row <= rows - 1 and col <= cols - 1
+        out[k] = surface(grid.height_m, row, col)

@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit, prange
 
 from geoposition.arrays import FloatArray, IntArray
+from geoposition.terrain_grid import FAST
 
 CROSSED: Final = 0
 PASSED: Final = 1
@@ -36,7 +37,7 @@ BLOCK_BITS: Final = 3
 """Each pyramid level merges 8 by 8 blocks of the one below."""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
 def surface(height_m: FloatArray, row: float, col: float) -> float:
     """Bilinear height between nodes; NaN outside, and where a node that has weight is a hole."""
     rows, cols = height_m.shape
@@ -58,8 +59,8 @@ def surface(height_m: FloatArray, row: float, col: float) -> float:
     return z
 
 
-@njit(cache=True, error_model="numpy")
-def _patch(height_m: FloatArray, row: float, col: float) -> tuple[float, float, float]:
+@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
+def patch(height_m: FloatArray, row: float, col: float) -> tuple[float, float, float]:
     """Height and its derivatives by row and column; the edge cell serves a little outside."""
     i = min(max(int(math.floor(row)), 0), height_m.shape[0] - 2)
     j = min(max(int(math.floor(col)), 0), height_m.shape[1] - 2)
@@ -72,7 +73,7 @@ def _patch(height_m: FloatArray, row: float, col: float) -> tuple[float, float, 
     return z00 + by_x * x + (by_y + by_xy * x) * y, by_y + by_xy * x, by_x + by_xy * y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
 def _settle(
     height_m: FloatArray,
     r0: float,
@@ -89,21 +90,21 @@ def _settle(
     """Newton steps on the expanded ray from `s`; false where they lead away from it."""
     start = s
     for _ in range(12):
-        z, by_row, by_col = _patch(height_m, r0 + s * (r1 + s * r2), c0 + s * (c1 + s * c2))
+        z, by_row, by_col = patch(height_m, r0 + s * (r1 + s * r2), c0 + s * (c1 + s * c2))
         f = h0 + s * (h1 + s * h2) - z
         slope = (
             h1 + 2.0 * s * h2 - by_row * (r1 + 2.0 * s * r2) - by_col * (c1 + 2.0 * s * c2)
         )
         step = -f / slope
-        if abs(f) < 1e-7 and not abs(step) > 1e-6:
-            return True, s
         if not abs(s + step - start) < 1.0:
             return abs(f) < 1e-4, s
         s += step
+        if abs(step) < 1e-3:  # what is left is of the order of its square
+            return True, s
     return abs(f) < 1e-4, s
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
 def walk(
     height_m: FloatArray,
     maxima_m: FloatArray,
@@ -145,8 +146,14 @@ def walk(
             return PASSED, s_end, over
     i = min(max(int(row), 0), rows - 2)
     j = min(max(int(col), 0), cols - 2)
+    # begin with blocks about as wide as the way is
+    span = max(
+        abs((s_end - s) * (r1 + (s_end + s) * r2)), abs((s_end - s) * (c1 + (s_end + s) * c2))
+    )
     top = levels.shape[0]
-    level = top
+    level = 1
+    while level < top and span > 16 << (BLOCK_BITS * (level - 1)):
+        level += 1
     while True:
         row = r0 + s * (r1 + s * r2)
         col = c0 + s * (c1 + s * c2)

@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 
 _REAL = Path(
-    os.environ.get(
-        "GEOPOSITION_REAL_DATA", Path(__file__).resolve().parents[2] / "shared" / "real"
-    )
+    os.environ.get("GEOPOSITION_REAL_DATA", Path(__file__).resolve().parents[2] / "shared" / "real")
 )
 
 

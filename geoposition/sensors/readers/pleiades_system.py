@@ -1,0 +1,181 @@
+"""Pleiades system metadata (DIMAP_PHR, PHR_SYSTEM_RECTIFIED_PRODUCT): the producer's own model.
+
+Beside raw telemetry the file holds the model of the rectified image, an ideal push-broom camera:
+ephemeris, quaternion polynomials, line period and viewing directions as polynomials of the
+column. Its conventions are those of the DIMAP v2 product made from it: rows and columns count
+from 1, quaternions (scalar first) turn the line-of-sight frame to WGS 84, the velocities are
+inertial ones on Earth-fixed axes, aberration and refraction are contained.
+
+*Source*: compared with the producer's direct location grid of the same image.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from geoposition.corrections import NO_CORRECTIONS
+from geoposition.errors import ProductError, UnsupportedError
+from geoposition.product import Product
+from geoposition.pushbroom import PushbroomModel
+from geoposition.rpc.direct import DirectRpc
+from geoposition.rpc.model import RpcModel, RpcValidity
+from geoposition.sensors.directions import PolynomialDirections
+from geoposition.sensors.line_camera import LineCamera
+from geoposition.sensors.readers.dimap_attitude import polynomial_attitude
+from geoposition.sensors.readers.dimap_files import image_file
+from geoposition.sensors.readers.dimap_orbit import read_orbit
+from geoposition.sensors.readers.dimap_xml import (
+    HEIGHT_RANGE_M,
+    blamed_on,
+    corners,
+    epoch_at,
+    image_shape,
+    line_period_s,
+)
+from geoposition.sensors.timing import ConstantLineRate
+from geoposition.xmlfile import XmlNode, read_xml
+
+if TYPE_CHECKING:
+    from geoposition.sensors.readers.source import Source
+
+FORMAT: Final = "Pleiades system metadata (DIMAP_PHR)"
+CANDIDATES: Final = ("PHRDIMAP*.XML", "phrdimap*.xml", "**/PHRDIMAP*.XML")
+
+_ROOT: Final = "PHR_Dimap_Document"
+_LEVEL: Final = "SENSOR"
+_MOST_TAN: Final = 0.2
+
+
+def recognises(source: Source) -> bool:
+    """Whether `source` is Pleiades system metadata."""
+    return source.xml_root == _ROOT
+
+
+def read(source: Source) -> Product:
+    """Read the model of a rectified Pleiades image from the producer's system metadata."""
+    root = read_xml(source.path)
+    level = root.need("Product_Characteristics/PROCESSING_LEVEL")
+    if level.text() != _LEVEL:
+        raise UnsupportedError(
+            level.path, level.place, f"level {_LEVEL} expected, this is {level.text()!r}"
+        )
+    shape = image_shape(root.need("Raster_Dimensions"))
+    sensor = root.need("Geometric_Data/Sensor_Model_Characteristics")
+    epoch = epoch_at(sensor, "UTC_Sensor_Model_Range/START")
+    period = line_period_s(sensor.need("SENSOR_LINE_PERIOD"), "ms")
+    covered_s = epoch_at(sensor, "UTC_Sensor_Model_Range/END") - epoch
+    if not 0.1 < shape[0] * period / max(covered_s, 1e-9) < 10.0:
+        raise ProductError(
+            sensor.path,
+            f"{sensor.place}/SENSOR_LINE_PERIOD",
+            f"lines over {covered_s:g} s expected (UTC_Sensor_Model_Range), "
+            f"these take {shape[0] * period:g} s",
+        )
+    last = (shape[0] - 1) * period
+    orbit = read_orbit(
+        sensor.need("Sensor_Ephemeris/Point_List"),
+        epoch,
+        "LOCATION_VALUES",
+        "VELOCITY_VALUES",
+        "UTC_TIME",
+    )
+    attitude, notes = polynomial_attitude(_attitude_node(sensor), epoch, -period, last + period)
+    directions = _directions(sensor.need("Sensor_Viewing_Model"), shape[1])
+    rpc = _rational_model(root, shape)
+    with blamed_on(sensor):
+        camera = LineCamera.single(shape, ConstantLineRate(epoch, 0.0, period), directions)
+        model = PushbroomModel(camera, orbit.ephemeris(), attitude, NO_CORRECTIONS, HEIGHT_RANGE_M)
+    image_path, image_notes = image_file(
+        root.all("Product_Characteristics/Product_Image_Characteristics/Data_Access/Data_File/"
+                 "DATA_FILE_PATH"),
+        root.path,
+    )  # fmt: skip
+    details: dict[str, object] = {
+        "profile": root.text("Metadata_Identification/METADATA_PROFILE"),
+        "corners": corners(root.all("Product_Frame/Dataset_Frame/Vertex")),
+        "line_period_s": period,
+        "velocities_in_file": orbit.velocity_kind,
+        "notes": tuple([*notes, *image_notes]),
+    }
+    return Product(root.path, FORMAT, _sensor_name(root), model, rpc, image_path, epoch, details)
+
+
+def _attitude_node(sensor: XmlNode) -> XmlNode:
+    """Sensor_Attitudes with the polynomials as direct children, as DIMAP v2 has them."""
+    attitudes = sensor.need("Sensor_Attitudes")
+    models = attitudes.need("Polynomial_Models")
+    merged = type(attitudes.element)("Polynomial_Models")
+    merged.extend([*models.element, *attitudes.element])
+    return XmlNode(attitudes.path, attitudes.place, merged)
+
+
+def _directions(viewing: XmlNode, samples: int) -> PolynomialDirections:
+    directions = viewing.need("Viewing_Directions")
+    first_col = viewing.number("Position_In_Retina/FIRST_COL")
+    psi = []
+    for tag in ("PsiX_Model", "PsiY_Model"):
+        node = directions.need(tag)
+        coefficients = node.need("COEFFICIENTS").numbers()
+        if len(coefficients) != node.integer("DEGREE") + 1:
+            raise ProductError(
+                node.path,
+                f"{node.place}/COEFFICIENTS",
+                f"{node.integer('DEGREE') + 1} numbers expected, got {len(coefficients)}",
+            )
+        psi.append(coefficients)
+    with blamed_on(directions):
+        result = PolynomialDirections(psi[1], -psi[0], offset=1.0 - first_col)
+        widest = float(np.max(np.abs(result.tangents([0.0, samples - 1.0]))))
+    if widest > _MOST_TAN:
+        raise ProductError(
+            directions.path,
+            directions.place,
+            f"tangents below {_MOST_TAN} expected, they reach {widest:.3g}",
+        )
+    return result
+
+
+def _rational_model(root: XmlNode, shape: tuple[int, int]) -> RpcModel | None:
+    """RPC of the image, in this file's own notation: A is a scale, B an offset."""
+    rfm = root.find("Geoposition/Rational_Sensor_Model/Global_RFM")
+    if rfm is None:
+        return None
+    inverse, direct = rfm.need("Inverse_Model"), rfm.need("Direct_Model")
+    domain = rfm.need("RFM_Validity")
+    scale = {axis: domain.number(f"{axis}/A") for axis in ("Lon", "Lat", "Alt", "Col", "Row")}
+    off = {axis: domain.number(f"{axis}/B") for axis in scale}
+    row, col = inverse.need("F_ROW").numbers(40), inverse.need("F_COL").numbers(40)
+    lon, lat = direct.need("F_LON").numbers(40), direct.need("F_LAT").numbers(40)
+    image = domain.need("Direct_Model_Validity_Domain")
+    ground = domain.need("Inverse_Model_Validity_Domain")
+    with blamed_on(rfm):
+        return RpcModel(
+            line_off_px=off["Row"] - 1.0, line_scale_px=scale["Row"],
+            samp_off_px=off["Col"] - 1.0, samp_scale_px=scale["Col"],
+            lon_off_deg=off["Lon"], lon_scale_deg=scale["Lon"],
+            lat_off_deg=off["Lat"], lat_scale_deg=scale["Lat"],
+            height_off_m=off["Alt"], height_scale_m=scale["Alt"],
+            line_num=row[:20], line_den=row[20:], samp_num=col[:20], samp_den=col[20:],
+            image_shape=shape,
+            fit_error_px=(
+                inverse.number("MODEL_PRECISION_ROW"), inverse.number("MODEL_PRECISION_COL"),
+            ),
+            direct=DirectRpc(
+                lon[:20], lon[20:], lat[:20], lat[20:],
+                (direct.number("MODEL_PRECISION_X"), direct.number("MODEL_PRECISION_Y")),
+            ),
+            validity=RpcValidity(
+                (image.number("FIRST_ROW") - 1.0, image.number("LAST_ROW") - 1.0),
+                (image.number("FIRST_COL") - 1.0, image.number("LAST_COL") - 1.0),
+                (ground.number("FIRST_LON"), ground.number("LAST_LON")),
+                (ground.number("FIRST_LAT"), ground.number("LAST_LAT")),
+            ),
+        )  # fmt: skip
+
+
+def _sensor_name(root: XmlNode) -> str:
+    found = re.search(r"PHR(1[AB])", root.text("Dataset_Identification/DATASET_NAME"))
+    return f"Pleiades-{found[1]}" if found else "Pleiades"
