@@ -364,16 +364,23 @@ def _newton(n: int, w: FloatArray, aberration: float, light_time: float) -> None
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
-def _pixel_flag(m: ModelTable, line: float, sample: float) -> int:
+def _pixel_flag(
+    line: float,
+    sample: float,
+    first_line: float,
+    last_line: float,
+    margin_px: float,
+    lines: int,
+    samples: int,
+) -> int:
     """Flag of an image point: within the image, its margin, or beyond."""
     if not (math.isfinite(line) and math.isfinite(sample)):
         return _BAD_INPUT
     if not (
-        m.first_line <= line <= m.last_line
-        and -m.margin_px <= sample <= m.samples - 1 + m.margin_px
+        first_line <= line <= last_line and -margin_px <= sample <= samples - 1 + margin_px
     ):
         return _OUTSIDE_MODEL
-    if -0.5 <= line <= m.lines - 0.5 and -0.5 <= sample <= m.samples - 0.5:
+    if -0.5 <= line <= lines - 0.5 and -0.5 <= sample <= samples - 0.5:
         return _OK
     return _OUTSIDE_IMAGE
 
@@ -391,26 +398,27 @@ def _see_block(
 ) -> None:
     """Camera and ground rows, and flags, of points `first` .. `first + n`."""
     first_sample = m.ccd_first_sample
-    same_km = m.refraction_m * math.exp(-height_m[0] / m.scale_height_m)
+    first_line, last_line, margin_px = m.first_line, m.last_line, m.margin_px
+    lines, samples = m.lines, m.samples
+    refraction_m, scale_height_m = m.refraction_m, m.scale_height_m
+    same_km = refraction_m * math.exp(-height_m[0] / scale_height_m)
     for i in range(n):
         line, sample = image_px[first + i, 0], image_px[first + i, 1]
         h = height_m[(first + i) * height_step]
-        flag = _pixel_flag(m, line, sample)
+        flag = _pixel_flag(line, sample, first_line, last_line, margin_px, lines, samples)
         if not math.isfinite(h):
             flag = _BAD_INPUT
         if flag > _OUTSIDE_IMAGE:
-            line, sample, h = m.first_line, 0.0, 0.0
+            line, sample, h = first_line, 0.0, 0.0
         flags[first + i] = flag
         w[_LINE * LANES + i] = line
         w[_SAMPLE * LANES + i] = sample
         w[_HEIGHT * LANES + i] = h
         w[_CCD * LANES + i] = _ccd_of(first_sample, sample)
         w[_KM * LANES + i] = same_km
-    if height_step > 0 and m.refraction_m > 0.0:
+    if height_step > 0 and refraction_m > 0.0:
         for i in range(n):
-            w[_KM * LANES + i] = m.refraction_m * math.exp(
-                -w[_HEIGHT * LANES + i] / m.scale_height_m
-            )
+            w[_KM * LANES + i] = refraction_m * math.exp(-w[_HEIGHT * LANES + i] / scale_height_m)
     _fill_pose(m, w, n)
     _fill_tangents(m, w, n)
     _sight(n, w, m.aberration, m.light_time, m.mean_range_m)
@@ -510,11 +518,14 @@ def _begin(
     """Ground rows and the start of the iteration for the good points; their number."""
     r, centre, c, first_sample = m.R_local_ecef, m.centre_ecef_m, m.start, m.ccd_first_sample
     per_extent = 1.0 / m.extent_m
+    first_line, last_line, far = m.first_line, m.last_line, 2.0 * m.samples + 1000.0
+    right, highest = m.samples + far, m.mean_range_m
+    refraction_m, scale_height_m = m.refraction_m, m.scale_height_m
     good = 0
     for i in range(first, first + n):
         lon, lat, h = geodetic[i, 0], geodetic[i, 1], geodetic[i, 2]
         if not (
-            math.isfinite(lon) and abs(lat) <= 0.5 * math.pi + 1e-12 and -1e5 < h < m.mean_range_m
+            math.isfinite(lon) and abs(lat) <= 0.5 * math.pi + 1e-12 and -1e5 < h < highest
         ):
             flags[i] = _BAD_INPUT
             image_px[i, 0] = np.nan
@@ -551,16 +562,14 @@ def _begin(
         w[_TRIES * LANES + i] = 0.0
         w[_AT_END * LANES + i] = 0.0
         w[_KM * LANES + i] = 0.0
-    far = 2.0 * m.samples + 1000.0
     for i in range(good):
         # Far from the scene the cubic may point anywhere: bring it back to what the table holds.
-        w[_LINE * LANES + i] = min(max(w[_LINE * LANES + i], m.first_line), m.last_line)
-        w[_SAMPLE * LANES + i] = min(max(w[_SAMPLE * LANES + i], -far), m.samples + far)
+        w[_LINE * LANES + i] = min(max(w[_LINE * LANES + i], first_line), last_line)
+        w[_SAMPLE * LANES + i] = min(max(w[_SAMPLE * LANES + i], -far), right)
         w[_CCD * LANES + i] = _ccd_of(first_sample, w[_SAMPLE * LANES + i])
-        if m.refraction_m > 0.0:
-            w[_KM * LANES + i] = m.refraction_m * math.exp(
-                -w[_HEIGHT * LANES + i] / m.scale_height_m
-            )
+    if refraction_m > 0.0:
+        for i in range(good):
+            w[_KM * LANES + i] = refraction_m * math.exp(-w[_HEIGHT * LANES + i] / scale_height_m)
     return good
 
 
@@ -578,8 +587,11 @@ def _sort_out(
 
     A point seen outside its CCD is tried on the neighbour; between CCDs it is lost.
     """
-    ccds = len(m.ccd_first_sample)
-    far = 2.0 * m.samples + 1000.0
+    first_sample, last_sample = m.ccd_first_sample, m.ccd_last_sample
+    ccds = len(first_sample)
+    first_line, last_line, margin_px = m.first_line, m.last_line, m.margin_px
+    lines, samples = m.lines, m.samples
+    far = 2.0 * samples + 1000.0
     left = 0
     for i in range(n):
         d_line, d_sample = w[_DLINE * LANES + i], w[_DSAMPLE * LANES + i]
@@ -588,12 +600,12 @@ def _sort_out(
         if not (math.isfinite(d_line) and math.isfinite(d_sample)):
             flag = _NOT_CONVERGED
         elif max(abs(d_line), abs(d_sample)) < STEP_TOLERANCE_PX:
-            flag = _pixel_flag(m, line, sample)
+            flag = _pixel_flag(line, sample, first_line, last_line, margin_px, lines, samples)
             if not w[_FRONT * LANES + i] > 0.0:
                 flag = _OUTSIDE_MODEL
             ccd = int(w[_CCD * LANES + i])
-            below = sample < m.ccd_first_sample[ccd] - 0.5 and ccd > 0
-            above = sample > m.ccd_last_sample[ccd] + 0.5 and ccd < ccds - 1
+            below = sample < first_sample[ccd] - 0.5 and ccd > 0
+            above = sample > last_sample[ccd] + 0.5 and ccd < ccds - 1
             if below or above:
                 w[_TRIES * LANES + i] += 1.0
                 if w[_TRIES * LANES + i] > 3.0:
@@ -601,7 +613,7 @@ def _sort_out(
                 else:
                     w[_CCD * LANES + i] = ccd - 1.0 if below else ccd + 1.0
                     flag = -1
-        elif line < m.first_line or line > m.last_line:
+        elif line < first_line or line > last_line:
             w[_AT_END * LANES + i] += 1.0
             if w[_AT_END * LANES + i] > 3.0:
                 flag = _OUTSIDE_MODEL
@@ -612,8 +624,8 @@ def _sort_out(
                 for row in range(_KEPT):
                     w[row * LANES + left] = w[row * LANES + i]
                 ids[left] = ids[i]
-            w[_LINE * LANES + left] = min(max(line, m.first_line), m.last_line)
-            w[_SAMPLE * LANES + left] = min(max(sample, -far), m.samples + far)
+            w[_LINE * LANES + left] = min(max(line, first_line), last_line)
+            w[_SAMPLE * LANES + left] = min(max(sample, -far), samples + far)
             left += 1
         else:
             found = flag <= _OUTSIDE_IMAGE
