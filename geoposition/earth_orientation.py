@@ -152,11 +152,8 @@ class OrientationTable:
 
     def _day(self, tai_s: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.intp]]:
         """Index of the table's day that each time falls in; refuse times outside the span."""
-        if tai_s.size and not (
-            np.nanmin(tai_s) >= self.tai_s[0]
-            and np.nanmax(tai_s) <= self.tai_s[-1]
-            and np.all(np.isfinite(tai_s))
-        ):
+        inside = (tai_s >= self.tai_s[0]) & (tai_s <= self.tai_s[-1])  # false for NaN
+        if not np.all(inside):
             raise EarthOrientationError(
                 f"Earth orientation is known from {self.span[0].utc_iso(0)} to "
                 f"{self.span[1].utc_iso(0)}, times from {_label(np.min(tai_s))} to "

@@ -12,21 +12,20 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numpy as np
 from numba import njit, prange
 
 from geoposition.arrays import FlagArray, FloatArray
 from geoposition.constants import WGS84_A_M, WGS84_B_M, WGS84_E2
-from geoposition.terrain_grid import FAST, LON_LAT, Grid, foot_point, grid_position
+from geoposition.terrain_grid import LON_LAT, SCALAR, Grid, foot_point, grid_position
 from geoposition.terrain_walk import (
     ABOVE,
     AT_START,
     CROSSED,
     HOLE,
+    MISSED,
     OUTSIDE,
     OVER_HOLE,
     OVER_OUTSIDE,
-    MISSED,
     PASSED,
     patch,
     surface,
@@ -48,7 +47,7 @@ _SHELL_SLACK_M: Final = 1.0
 """More than a grown ellipsoid differs from the surface of the same height."""
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
+@njit(**SCALAR)
 def shell_ranges(
     ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, height_m: float
 ) -> tuple[float, float]:
@@ -68,7 +67,7 @@ def shell_ranges(
     return (-b - root) / a, (-b + root) / a
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
+@njit(**SCALAR)
 def _expand(
     grid: Grid,
     ox: float,
@@ -144,7 +143,7 @@ def _expand(
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
+@njit(**SCALAR)
 def _finish(
     grid: Grid,
     ox: float,
@@ -174,7 +173,7 @@ def _finish(
     return t, math.atan2(y, x), math.atan2(sin_lat, cos_lat), height
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
+@njit(**SCALAR)
 def _cross(
     grid: Grid,
     ox: float,
@@ -326,9 +325,7 @@ def heights(grid: Grid, lon_lat_rad: FloatArray, out: FloatArray, inside: FlagAr
     for k in prange(lon_lat_rad.shape[0]):
         lon, lat = lon_lat_rad[k, 0], lon_lat_rad[k, 1]
         cos_lat = math.cos(lat)
-        row, col = grid_position(
-            grid, math.cos(lon), math.sin(lon), 1.0, cos_lat, math.sin(lat)
-        )
+        row, col = grid_position(grid, math.cos(lon), math.sin(lon), 1.0, cos_lat, math.sin(lat))
         rows, cols = grid.height_m.shape
         # a border point may come out of the longitude's rounding a hair outside
         if -1e-6 <= row <= rows - 1 + 1e-6:
@@ -337,3 +334,35 @@ def heights(grid: Grid, lon_lat_rad: FloatArray, out: FloatArray, inside: FlagAr
             col = min(max(col, 0.0), cols - 1.0)
         inside[k] = row >= 0.0 and col >= 0.0 and row <= rows - 1 and col <= cols - 1
         out[k] = surface(grid.height_m, row, col)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def bracket_directions(
+    origin_ecef_m: FloatArray,
+    direction_ecef: FloatArray,
+    top_m: float,
+    bottom_m: float,
+    out: FloatArray,
+) -> None:
+    """Fill `out` (2 n, 3): directions of the normals where each ray enters the two heights.
+
+    The normals are those of the ellipsoid, not unit, wrong by up to 50 m of ground at 12 km.
+    NaN where a ray passes above the top or starts beyond it; a ray that never comes down to
+    the bottom has the place where it leaves the top instead.
+    """
+    n = origin_ecef_m.shape[0]
+    for k in prange(n):
+        ox, oy, oz = origin_ecef_m[k, 0], origin_ecef_m[k, 1], origin_ecef_m[k, 2]
+        dx, dy, dz = direction_ecef[k, 0], direction_ecef[k, 1], direction_ecef[k, 2]
+        start, leave = shell_ranges(ox, oy, oz, dx, dy, dz, top_m + _SHELL_SLACK_M)
+        end, _ = shell_ranges(ox, oy, oz, dx, dy, dz, bottom_m - _SHELL_SLACK_M)
+        if math.isnan(end):
+            end = leave
+        if leave < 0.0 or end < 0.0:
+            start = math.nan
+        elif start < 0.0:
+            start = 0.0
+        for t, row in ((start, k), (end, n + k)):
+            out[row, 0] = (ox + t * dx) * (1.0 / WGS84_A_M)
+            out[row, 1] = (oy + t * dy) * (1.0 / WGS84_A_M)
+            out[row, 2] = (oz + t * dz) * (1.0 / (WGS84_A_M * (1.0 - WGS84_E2)))

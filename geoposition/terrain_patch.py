@@ -31,7 +31,7 @@ _NO_ARRAY: Final = np.zeros((0, 0))
 
 
 def normals(lon_rad: FloatArray, lat_rad: FloatArray) -> FloatArray:
-    """Unit ellipsoid normals (..., 3) in ECEF."""
+    """Return unit ellipsoid normals (..., 3) in ECEF."""
     cos_lat = np.cos(lat_rad)
     return np.stack(
         [cos_lat * np.cos(lon_rad), cos_lat * np.sin(lon_rad), np.sin(lat_rad)], axis=-1
@@ -137,9 +137,7 @@ def table_grid(height_m: FloatArray, to_grid: PlaneMap, from_grid: PlaneMap) -> 
     )
 
 
-def _refined(
-    axes: FloatArray, low: FloatArray, high: FloatArray, to_grid: PlaneMap
-) -> FloatArray:
+def _refined(axes: FloatArray, low: FloatArray, high: FloatArray, to_grid: PlaneMap) -> FloatArray:
     """Table of (row, col) (n_v, n_u, 2) that holds `TABLE_TOLERANCE_PX`."""
 
     def at(n_v: int, n_u: int, half: float) -> FloatArray:

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit, prange
 
 from geoposition.arrays import FloatArray, IntArray
-from geoposition.terrain_grid import FAST
+from geoposition.terrain_grid import SCALAR
 
 CROSSED: Final = 0
 PASSED: Final = 1
@@ -37,7 +37,7 @@ BLOCK_BITS: Final = 3
 """Each pyramid level merges 8 by 8 blocks of the one below."""
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
+@njit(**SCALAR)
 def surface(height_m: FloatArray, row: float, col: float) -> float:
     """Bilinear height between nodes; NaN outside, and where a node that has weight is a hole."""
     rows, cols = height_m.shape
@@ -59,11 +59,11 @@ def surface(height_m: FloatArray, row: float, col: float) -> float:
     return z
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
+@njit(**SCALAR)
 def patch(height_m: FloatArray, row: float, col: float) -> tuple[float, float, float]:
     """Height and its derivatives by row and column; the edge cell serves a little outside."""
-    i = min(max(int(math.floor(row)), 0), height_m.shape[0] - 2)
-    j = min(max(int(math.floor(col)), 0), height_m.shape[1] - 2)
+    i = min(max(math.floor(row), 0), height_m.shape[0] - 2)
+    j = min(max(math.floor(col), 0), height_m.shape[1] - 2)
     y = row - i
     x = col - j
     z00 = height_m[i, j]
@@ -73,7 +73,7 @@ def patch(height_m: FloatArray, row: float, col: float) -> tuple[float, float, f
     return z00 + by_x * x + (by_y + by_xy * x) * y, by_y + by_xy * x, by_x + by_xy * y
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
+@njit(**SCALAR)
 def _settle(
     height_m: FloatArray,
     r0: float,
@@ -92,9 +92,7 @@ def _settle(
     for _ in range(12):
         z, by_row, by_col = patch(height_m, r0 + s * (r1 + s * r2), c0 + s * (c1 + s * c2))
         f = h0 + s * (h1 + s * h2) - z
-        slope = (
-            h1 + 2.0 * s * h2 - by_row * (r1 + 2.0 * s * r2) - by_col * (c1 + 2.0 * s * c2)
-        )
+        slope = h1 + 2.0 * s * h2 - by_row * (r1 + 2.0 * s * r2) - by_col * (c1 + 2.0 * s * c2)
         step = -f / slope
         if not abs(s + step - start) < 1.0:
             return abs(f) < 1e-4, s
@@ -104,7 +102,7 @@ def _settle(
     return abs(f) < 1e-4, s
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)
+@njit(**SCALAR)
 def walk(
     height_m: FloatArray,
     maxima_m: FloatArray,
@@ -228,9 +226,7 @@ def walk(
                 over = ABOVE
                 s_mid = s + 0.5 * ds
                 x, y = c0 + s_mid * (c1 + s_mid * c2) - j, r0 + s_mid * (r1 + s_mid * r2) - i
-                f_mid = (
-                    h0 + s_mid * (h1 + s_mid * h2) - (z00 + by_x * x + (by_y + by_xy * x) * y)
-                )
+                f_mid = h0 + s_mid * (h1 + s_mid * h2) - (z00 + by_x * x + (by_y + by_xy * x) * y)
                 x, y = c0 + s_out * (c1 + s_out * c2) - j, r0 + s_out * (r1 + s_out * r2) - i
                 f1 = h_out - (z00 + by_x * x + (by_y + by_xy * x) * y)
                 # over one cell f is a parabola to far below a millimetre
@@ -285,9 +281,7 @@ def _base_maxima(height_m: FloatArray, out: FloatArray) -> None:
         for bj in range(out.shape[1]):
             highest = -math.inf
             for i in range(max(bi * size - 1, 0), min((bi + 1) * size + 2, height_m.shape[0])):
-                for j in range(
-                    max(bj * size - 1, 0), min((bj + 1) * size + 2, height_m.shape[1])
-                ):
+                for j in range(max(bj * size - 1, 0), min((bj + 1) * size + 2, height_m.shape[1])):
                     if height_m[i, j] > highest:
                         highest = height_m[i, j]
             out[bi, bj] = highest

@@ -63,7 +63,7 @@ def test_3_1_2_is_the_textbook_matrix() -> None:
     yaw, roll, pitch = 0.3, -0.7, 1.1
     found = rotation_from_intrinsic_euler("3-1-2", [yaw, roll, pitch]).as_matrix()
     assert np.allclose(found, turn(3, yaw) @ turn(1, roll) @ turn(2, pitch), atol=1e-15)
-    # T (2.15) is reference to body; its rows 2 carries no lost signs: (−cos·sin, cos·cos, sin).
+    # T (2.15) is reference to body; its second row is (−cos sin, cos cos, sin).
     row = [-np.cos(roll) * np.sin(yaw), np.cos(roll) * np.cos(yaw), np.sin(roll)]
     assert np.allclose(found.T[1], row, atol=1e-15)
     extrinsic = rotation_from_extrinsic_euler("3-1-2", [yaw, roll, pitch]).as_matrix()

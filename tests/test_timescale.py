@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
 
@@ -106,8 +106,6 @@ def test_digits_beyond_a_double_carry_instead_of_failing() -> None:
 @given(datetimes, st.integers(0, 10**9 - 1))
 def test_iso_round_trip_to_the_nanosecond(day: datetime, nanoseconds: int) -> None:
     text = f"{day:%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
-    if day.year < 1000:
-        return
     assert Epoch.from_utc(text).utc_iso(9) == text
 
 
@@ -117,8 +115,7 @@ def test_tai_minus_utc_is_erfas(day: datetime) -> None:
         return
     epoch = Epoch.from_utc(day.isoformat(timespec="microseconds"))
     assert epoch.tai_minus_utc_s == erfa.dat(day.year, day.month, day.day, 0.0)
-    utc = (datetime(1999, 12, 31, tzinfo=UTC) - timedelta(days=-1)).replace(tzinfo=None)
-    labelled = (day - utc).total_seconds()
+    labelled = (day - datetime(2000, 1, 1)).total_seconds()
     assert epoch - Epoch(0) == pytest.approx(labelled + epoch.tai_minus_utc_s, abs=2e-6)
 
 

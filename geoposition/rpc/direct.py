@@ -30,7 +30,9 @@ class DirectRpc:
         for name in ("lon_num", "lon_den", "lat_num", "lat_den"):
             object.__setattr__(self, name, twenty(getattr(self, name), name))
 
-    def normalised_ground(self, line: FloatArray, samp: FloatArray, height: FloatArray) -> FloatArray:
+    def normalised_ground(
+        self, line: FloatArray, samp: FloatArray, height: FloatArray
+    ) -> FloatArray:
         """Normalised (lon, lat) (..., 2) of normalised line, sample and height (...)."""
         terms = cubic_terms(samp, line, height)
         return np.stack(

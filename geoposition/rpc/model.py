@@ -22,8 +22,11 @@ from numpy.typing import ArrayLike
 from geoposition.arrays import FlagArray, FloatArray, as_components
 from geoposition.errors import ArgumentError
 from geoposition.rays import Rays
-from geoposition.rpc import kernels
 from geoposition.rpc.direct import DirectRpc, twenty
+from geoposition.rpc.kernel_base import KernelParameters
+from geoposition.rpc.kernels import project_points
+from geoposition.rpc.kernels_inverse import locate_points
+from geoposition.rpc.kernels_sight import differentiate_points, sight_lines
 from geoposition.rpc.start import HEIGHT_MARGIN_M, StartTable, find_start
 from geoposition.sensor_model import GroundPoints, ImagePoints
 
@@ -81,7 +84,7 @@ class RpcModel:
     satellite: str = ""
     band: str = ""
     _coefficients: FloatArray = field(init=False, repr=False)
-    _parameters: kernels.KernelParameters = field(init=False, repr=False)
+    _parameters: KernelParameters = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in _OFFS + _SCALES:
@@ -96,7 +99,9 @@ class RpcModel:
         if self.image_shape is not None:
             lines, samples = (int(n) for n in self.image_shape)
             if lines < 1 or samples < 1:
-                raise ArgumentError(f"image_shape: positive numbers expected, got {lines}, {samples}")
+                raise ArgumentError(
+                    f"image_shape: positive numbers expected, got {lines}, {samples}"
+                )
             object.__setattr__(self, "image_shape", (lines, samples))
         coefficients = np.stack([self.line_num, self.line_den, self.samp_num, self.samp_den])
         half = np.array([0.5, 0.5])
@@ -114,11 +119,11 @@ class RpcModel:
     def _image_scale(self) -> FloatArray:
         return np.array([self.line_scale_px, self.samp_scale_px])
 
-    def _pack(self, start: StartTable) -> kernels.KernelParameters:
+    def _pack(self, start: StartTable) -> KernelParameters:
         lines, samples = self.image_shape or (math.inf, math.inf)
         known = self.image_shape is not None
         scale_m = abs(self.height_scale_m)
-        return kernels.KernelParameters(
+        return KernelParameters(
             lon_off_rad=math.radians(self.lon_off_deg),
             lon_unit=math.degrees(1.0) / self.lon_scale_deg,
             lat_off_rad=math.radians(self.lat_off_deg),
@@ -184,7 +189,7 @@ class RpcModel:
         shape = ground.shape[:-1]
         image_px = np.empty((*shape, 2))
         flags: FlagArray = np.empty(shape, dtype=np.uint8)
-        kernels.project_points(
+        project_points(
             np.ascontiguousarray(ground).reshape(-1),
             self._coefficients,
             self._parameters,
@@ -210,7 +215,7 @@ class RpcModel:
             heights = np.ascontiguousarray(np.broadcast_to(heights, shape)).reshape(-1)
         geodetic = np.empty((*shape, 3))
         flags: FlagArray = np.empty(shape, dtype=np.uint8)
-        kernels.locate_points(
+        locate_points(
             np.ascontiguousarray(image).reshape(-1),
             heights,
             self._coefficients,
@@ -230,7 +235,7 @@ class RpcModel:
         """
         ground = self.image_to_ground(image_px, height_m)
         origin, direction = np.empty_like(ground.geodetic), np.empty_like(ground.geodetic)
-        kernels.sight_lines(
+        sight_lines(
             ground.geodetic.reshape(-1),
             self._coefficients,
             self._parameters,
@@ -244,7 +249,7 @@ class RpcModel:
         """d(line, sample)/d(lon_rad, lat_rad, height_m) at `geodetic` (..., 3): (..., 2, 3)."""
         ground = as_components(geodetic, 3, "geodetic")
         out = np.empty((*ground.shape[:-1], 2, 3))
-        kernels.differentiate_points(
+        differentiate_points(
             np.ascontiguousarray(ground).reshape(-1, 3),
             self._coefficients,
             self._parameters,

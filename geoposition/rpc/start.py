@@ -52,7 +52,7 @@ def cubic_terms(L: FloatArray, P: FloatArray, H: FloatArray) -> FloatArray:
 
 
 def _slopes(L: FloatArray, P: FloatArray, H: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of `cubic_terms` by L and by P, (n, 20) each."""
+    """Differentiate `cubic_terms` by L and by P, (n, 20) each."""
     zero, one = np.zeros_like(L), np.ones_like(L)
     by_lon = [zero, one, zero, zero, P, H, zero, 2 * L, zero, zero, P * H, 3 * L * L, P * P,
               H * H, 2 * L * P, zero, zero, 2 * L * H, zero, zero]  # fmt: skip
@@ -68,21 +68,20 @@ def _invert(
     line_num, line_den, samp_num, samp_den = coefficients
     ground = np.broadcast_to(start, image.shape).copy()
     step = np.full_like(ground, np.inf)
-    with np.errstate(all="ignore"):
-        for _ in range(_MAX_ITERATIONS):
-            terms = cubic_terms(ground[:, 0], ground[:, 1], H)
-            by_lon, by_lat = _slopes(ground[:, 0], ground[:, 1], H)
-            line = line_num - image[:, :1] * line_den
-            samp = samp_num - image[:, 1:] * samp_den
-            f, g = np.sum(terms * line, axis=1), np.sum(terms * samp, axis=1)
-            a, b = np.sum(by_lon * line, axis=1), np.sum(by_lat * line, axis=1)
-            c, d = np.sum(by_lon * samp, axis=1), np.sum(by_lat * samp, axis=1)
-            step = np.stack([f * d - g * b, g * a - f * c], axis=1) / (a * d - b * c)[:, None]
-            ground -= step
-            size = np.abs(step).sum(axis=1)
-            if np.all(~(size > 1e-12)):
-                break
-        converged = (size < 1e-9) & (np.abs(ground).max(axis=1) < _MAX_DOMAIN)
+    for _ in range(_MAX_ITERATIONS):
+        terms = cubic_terms(ground[:, 0], ground[:, 1], H)
+        by_lon, by_lat = _slopes(ground[:, 0], ground[:, 1], H)
+        line = line_num - image[:, :1] * line_den
+        samp = samp_num - image[:, 1:] * samp_den
+        f, g = np.sum(terms * line, axis=1), np.sum(terms * samp, axis=1)
+        a, b = np.sum(by_lon * line, axis=1), np.sum(by_lat * line, axis=1)
+        c, d = np.sum(by_lon * samp, axis=1), np.sum(by_lat * samp, axis=1)
+        step = np.stack([f * d - g * b, g * a - f * c], axis=1) / (a * d - b * c)[:, None]
+        ground -= step
+        size = np.abs(step).sum(axis=1)
+        if np.all(~(size > 1e-12)):
+            break
+    converged = (size < 1e-9) & (np.abs(ground).max(axis=1) < _MAX_DOMAIN)
     return ground, converged
 
 
@@ -95,6 +94,13 @@ def find_start(
 
     The ranges are of the normalised line and sample; the normalised height is within ±1.
     """
+    with np.errstate(all="ignore"):
+        return _find_start(coefficients, line_range, samp_range)
+
+
+def _find_start(
+    coefficients: FloatArray, line_range: tuple[float, float], samp_range: tuple[float, float]
+) -> StartTable | None:
     offs = np.array([np.mean(line_range), np.mean(samp_range)])
     halves = np.array([abs(np.ptp(line_range)) / 2.0, abs(np.ptp(samp_range)) / 2.0])
     centre, found = _invert(coefficients, offs[None], np.zeros(1), np.zeros(2))

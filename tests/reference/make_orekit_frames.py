@@ -46,7 +46,7 @@ EPOCHS = [
 ]
 POSITION_M = (-3102345.678, 5210987.654, 3350123.456)
 VELOCITY_M_S = (-4310.25, -5012.75, 3805.5)
-MONTHS = "Jan Feb Mar Apr May Jun Jul Aug Sep Oct Nov Dec".split()
+MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
 
 
 def data_folder(folder: Path) -> None:

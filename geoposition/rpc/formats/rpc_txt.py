@@ -21,9 +21,7 @@ _UNITS = {"px": "pixels", "deg": "degrees", "m": "meters"}
 
 def recognises(text: str) -> bool:
     """Tell whether `text` is of this dialect."""
-    return re.search(r"^\s*LINE_NUM_COEFF(_\d+)?\s*[:=]", text, re.M | re.I) is not None and (
-        re.search(r"^\s*line_num_coeff_00\s*:", text, re.M) is None
-    )
+    return re.search(r"^\s*(LINE_NUM_COEFF(_\d+)?|LINE_OFF)\s*[:=]", text, re.M) is not None
 
 
 def read(path: Path) -> RpcModel:

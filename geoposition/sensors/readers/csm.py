@@ -10,7 +10,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from geoposition.errors import ArgumentError, GeometryError, ProductError, SpanError, UnsupportedError
+from geoposition.errors import (
+    ArgumentError,
+    GeometryError,
+    ProductError,
+    SpanError,
+    UnsupportedError,
+)
 from geoposition.product import Product
 from geoposition.sensors.readers.csm_isd import scanner_from_isd
 from geoposition.sensors.readers.csm_json import LINE_SCANNER, read_json
@@ -31,7 +37,7 @@ def recognises(source: Source) -> bool:
     head = source.head.removeprefix(b"\xef\xbb\xbf").lstrip()
     if not head.startswith((b"{", b"USGS_ASTRO_")):
         return False
-    # A state's keys are sorted: its first 64 KiB may be all numbers of m_covariance, but hold that key.
+    # A state's keys are sorted: the head may hold no more than the first ones.
     return any(mark in head for mark in (*_MARKS, b'"m_covariance"', b'"m_centerEphemerisTime"'))
 
 
@@ -40,7 +46,10 @@ def read_line_scanner(path: Path) -> LineScanner:
     name, node = read_json(path)
     is_state = node.has("m_intTimeStartTimes") or node.has("m_modelName")
     model = node.text("m_modelName" if is_state else "name_model", name)
-    for stated, place in ((name, "first line"), (model, "m_modelName" if is_state else "name_model")):
+    for stated, place in (
+        (name, "first line"),
+        (model, "m_modelName" if is_state else "name_model"),
+    ):
         if stated and stated != LINE_SCANNER:
             raise UnsupportedError(path, place, f"{LINE_SCANNER} expected, got {stated[:60]}")
     try:

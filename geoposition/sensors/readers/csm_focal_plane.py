@@ -127,7 +127,7 @@ class CubicDirections:
         return named | {f"y{i}": float(c) for i, c in enumerate(self.y_cubic)}
 
     def with_parameters(self, values: dict[str, float]) -> Self:
-        """The same with some parameters changed."""
+        """Return the same with some parameters changed."""
         new = self.parameters | values
         if len(new) != len(self.parameters):
             raise ArgumentError(f"distortion: no parameter {set(values) - set(self.parameters)}")

@@ -86,7 +86,7 @@ def _weights(tau: FloatArray, nodes: IntArray) -> FloatArray:
 
 
 def _rate_weights(tau: FloatArray, nodes: IntArray) -> FloatArray:
-    """Derivatives (n, m) of the Lagrange weights, per step."""
+    """Compute derivatives (n, m) of the Lagrange weights, per step."""
     weights = np.zeros((len(tau), len(nodes)))
     for j, node in enumerate(nodes):
         others = nodes[nodes != node]

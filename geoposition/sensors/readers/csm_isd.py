@@ -84,7 +84,10 @@ class _Rotations:
         self._constant = Rotation.identity()
         if node.has("constant_rotation"):
             matrix = node.array("constant_rotation", rows=9).reshape(3, 3)
-            if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6) or np.linalg.det(matrix) < 0:
+            if (
+                not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6)
+                or np.linalg.det(matrix) < 0
+            ):
                 node.refuse("constant_rotation", "a rotation matrix, row by row, expected")
             self._constant = Rotation.from_matrix(matrix)
 

@@ -50,7 +50,7 @@ class JsonNode:
         return JsonNode(self.path, self._at(key), value)
 
     def text(self, key: str, default: str | None = None) -> str:
-        """String under `key`; `default` where it is absent."""
+        """Text under `key`; `default` where it is absent."""
         if default is not None and not self.has(key):
             return default
         value = self.need(key)
@@ -104,7 +104,9 @@ class JsonNode:
         except OverflowError:
             self.refuse(key, "finite numbers expected")
         if not np.all(np.isfinite(table)):
-            self.refuse(key, f"finite numbers expected, entry {np.argmin(np.isfinite(table))} is not")
+            self.refuse(
+                key, f"finite numbers expected, entry {np.argmin(np.isfinite(table))} is not"
+            )
         if columns is not None:
             table = table.reshape(-1, columns)
         if rows is not None and len(table) != rows:

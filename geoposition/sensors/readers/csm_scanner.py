@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from geoposition.arrays import FloatArray, as_components
 from geoposition.attitude import Attitude
+from geoposition.camera import LineTiming
 from geoposition.constants import WGS84_A_M, WGS84_B_M
 from geoposition.corrections import NO_CORRECTIONS
 from geoposition.ephemeris import Ephemeris
-from geoposition.camera import LineTiming
-from geoposition.errors import UnsupportedError
+from geoposition.errors import ProductError, UnsupportedError
 from geoposition.pushbroom import PushbroomModel
 from geoposition.sensors.directions import Directions
 from geoposition.sensors.line_camera import LineCamera, Mounting
@@ -25,6 +25,9 @@ from geoposition.timescale import Epoch
 
 _WGS84_TOLERANCE_M = 1e-3
 """On the semi-axes: GRS 80 differs by 0.1 mm, the next Earth ellipsoid by metres."""
+
+_EARTH_HEIGHTS_M = (-500.0, 9000.0)
+"""Lowest and highest land above the ellipsoid."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +81,16 @@ class LineScanner:
                 f"WGS 84 expected for ground coordinates, this one has semi-axes {a:.10g} and "
                 f"{b:.10g} m; its rays can be had from read_line_scanner",
             )
-        return PushbroomModel(
-            self.camera, self.ephemeris, self.attitude, NO_CORRECTIONS, self.height_range_m
-        )
+        low, high = self.height_range_m
+        # Writers of CSM state the whole solid Earth, +-10 km, for want of better.
+        heights = (max(low, _EARTH_HEIGHTS_M[0]), min(high, _EARTH_HEIGHTS_M[1]))
+        if heights[0] > heights[1]:
+            raise ProductError(
+                self.path,
+                "elevation range",
+                f"from low to high expected, got {low:g} .. {high:g} m",
+            )
+        return PushbroomModel(self.camera, self.ephemeris, self.attitude, NO_CORRECTIONS, heights)
 
 
 def facing_the_body(

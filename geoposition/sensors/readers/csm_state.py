@@ -40,11 +40,14 @@ def ephemeris_epoch(seconds: float) -> Epoch:
 
 def scanner_from_state(node: JsonNode) -> LineScanner:
     """Read the model state `node`."""
-    for i, value in enumerate(node.array("m_currentParameterValue") if node.has(
-        "m_currentParameterValue") else ()):
+    for i, value in enumerate(
+        node.array("m_currentParameterValue") if node.has("m_currentParameterValue") else ()
+    ):
         if value != 0.0:
             raise UnsupportedError(
-                node.path, f"m_currentParameterValue[{i}]", f"no adjustment (0) expected, got {value:g}"
+                node.path,
+                f"m_currentParameterValue[{i}]",
+                f"no adjustment (0) expected, got {value:g}",
             )
     shape = (node.count("m_nLines"), node.count("m_nSamples"))
     centre_s = node.number("m_centerEphemerisTime")
@@ -93,10 +96,14 @@ def scanner_from_state(node: JsonNode) -> LineScanner:
 def _table(node: JsonNode, key: str, count_key: str, columns: int) -> FloatArray:
     values = node.array(key)
     if len(values) % columns or len(values) < 2 * columns:
-        node.refuse(key, f"a multiple of {columns} numbers, two rows or more, expected; got {len(values)}")
+        node.refuse(
+            key, f"a multiple of {columns} numbers, two rows or more, expected; got {len(values)}"
+        )
     if node.has(count_key) and node.number(count_key) != len(values):
-        node.refuse(count_key, f"{len(values)} expected, as many as {key} has; "
-                    f"got {node.number(count_key):g}")
+        node.refuse(
+            count_key,
+            f"{len(values)} expected, as many as {key} has; got {node.number(count_key):g}",
+        )
     return values.reshape(-1, columns)
 
 

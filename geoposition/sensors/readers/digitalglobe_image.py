@@ -5,6 +5,7 @@ Source: DigitalGlobe, Imagery Support Data (ISD) Documentation 1.1.2 (2014).
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from geoposition.camera import LineTiming
@@ -23,7 +24,10 @@ SATELLITES = {
 }
 UNVERIFIED = {"QB02", "WV04"}
 """Satellites for which no data were at hand to check the conventions."""
-
+_RAW = re.compile(r"[A-Z]*1B")
+"""Levels in the camera's own geometry: `LV1B`, `Stereo 1B`."""
+_RESAMPLED = re.compile(r"[A-Z]*(2A|3[A-Z]?|4[A-Z]?)")
+"""Levels on a map grid: `LV2A`, `Stereo OR2A`, `LV3D`."""
 _CORNERS = ("UL", "UR", "LR", "LL")
 
 
@@ -49,16 +53,28 @@ class ImageSupport:
     @property
     def is_raw_geometry(self) -> bool:
         """Whether the pixels are those of the camera: Basic 1B, one by one or in stereo."""
-        return self.level.replace(" ", "").upper().endswith("1B")
+        return _is_raw(self.level)
+
+
+def _is_raw(level: str) -> bool:
+    return _RAW.fullmatch(level.replace(" ", "").upper()) is not None
+
+
+def _is_resampled(level: str) -> bool:
+    return _RESAMPLED.fullmatch(level.replace(" ", "").upper()) is not None
 
 
 def parse_image(imd: Group) -> ImageSupport:
     """Read IMD."""
-    images = imd.named("IMAGE")
-    if len(images) > 1:
+    level = imd.text("productLevel")
+    raw = _is_raw(level)
+    if not raw and not _is_resampled(level):
         raise UnsupportedError(
-            imd.path, images[1].place, "a mosaic of several images; one image expected"
+            imd.path, imd.place_of("productLevel"), f"level 1B, 2A or 3 expected, got {level!r}"
         )
+    images = imd.named("IMAGE")
+    if len(images) > 1 and raw:
+        raise UnsupportedError(imd.path, images[1].place, "one image expected in a 1B product")
     image = imd.need("IMAGE")
     satellite = image.text("satId").upper()
     if satellite not in SATELLITES:
@@ -69,8 +85,6 @@ def parse_image(imd: Group) -> ImageSupport:
     for name, size in (("numRows", lines), ("numColumns", samples)):
         if not 1 <= size <= 10_000_000:
             raise imd.error(name, f"an image size expected, got {size}")
-    level = imd.text("productLevel")
-    raw = level.replace(" ", "").upper().endswith("1B")
     notes: list[str] = []
     timing = _timing(image, notes) if raw else None
     facts: dict[str, object] = {}
@@ -151,8 +165,10 @@ def _timing(image: Group, notes: list[str]) -> LineTiming:
     else:
         with image.blaming("TLCList"):
             timing = LineTimeTable(epoch, table[:, 0], table[:, 1])
-        slope = table[-1, 1] - table[0, 1]
-        if slope * sign < 0:
+        period = float((table[-1, 1] - table[0, 1]) / (table[-1, 0] - table[0, 0]))
+        if not 1e-7 < abs(period) < 0.1:
+            raise image.error("TLCList", f"a line time in seconds expected, {period:g} s per line")
+        if period * sign < 0:
             notes.append(f"line times: TLCLIST contradicts the scan direction {direction}; used")
     first = image.epoch("firstLineTime")
     offset = (epoch - first) + float(timing.time_s(0.0))

@@ -19,6 +19,8 @@ from geoposition.sensors.readers.digitalglobe_image import ImageSupport
 from geoposition.sensors.readers.digitalglobe_support import CameraSupport, Samples
 
 _UPPER = np.triu_indices(4)
+_MAX_TANGENT = 0.2
+"""Ten times what these telescopes see."""
 _POSITION_NOISE_M = 0.02
 """What the positions may scatter about their own velocities; 0.0001 m in the products seen."""
 
@@ -65,6 +67,12 @@ def _line_camera(image: ImageSupport, timing: LineTiming, camera: CameraSupport)
         (0.0, -camera.pitch_mm),
         camera.detector_rotation_rad,
     )
+    ends = directions.tangents(np.array([0.0, image.shape[1] - 1.0]))
+    if np.max(np.abs(ends)) > _MAX_TANGENT:
+        raise camera.group.error(
+            "PRINCIPAL_DISTANCE/PD",
+            f"a view of at most {_MAX_TANGENT} rad off the axis expected, got {np.max(np.abs(ends)):g}",
+        )
     mounting = Mounting(
         Rotation.from_quat(camera.quat_xyzw_body_camera),
         np.array(camera.perspective_centre_body_m),

@@ -25,6 +25,7 @@ from geoposition.xmlfile import local_name, read_xml
 
 MAX_TEXT_BYTES = 64 * 2**20
 _MAX_DEPTH = 12
+_ABSURD = 1e30
 
 _STATEMENT = re.compile(
     r"""\s*(?:
@@ -73,8 +74,8 @@ class Group:
             raise self.error(name, str(error)) from None
 
     def has(self, name: str) -> bool:
-        """Whether a key `name` is there, with or without text."""
-        return name.upper() in self.values
+        """Whether a key `name` is there, with some text."""
+        return any(self.values.get(name.upper(), []))
 
     def text(self, name: str) -> str:
         """Text of `name`; it must be there once and not be empty."""
@@ -103,10 +104,6 @@ class Group:
         with self.blaming(name):
             return Epoch.from_utc(self.text(name))
 
-    def has_list(self, name: str) -> bool:
-        """Whether a list `name` is there and has rows."""
-        return bool(self.lists.get(name.upper()))
-
     def table(self, name: str, columns: int) -> FloatArray:
         """Rows of the list `name` as finite numbers (rows, columns)."""
         rows = self.lists.get(name.upper())
@@ -134,8 +131,7 @@ class Group:
             values = [float(word) for word in words]
         except ValueError:
             raise self.error(name, f"{where}number(s) expected, got {text[:40]!r}") from None
-        # The sum of finite numbers is finite, unless they are absurd.
-        if not np.isfinite(sum(values)):
+        if not all(abs(value) < _ABSURD for value in values):  # NaN fails, too
             raise self.error(name, f"{where}finite number(s) expected, got {text[:40]!r}")
         return values
 
@@ -179,7 +175,10 @@ def _from_element(path: Path, place: str, element: Element, depth: int) -> Group
             inner = _from_element(path, f"{place}/{name}", child, depth + 1)
             group.groups.append((name.upper(), inner))
         else:
-            group.values.setdefault(name.upper(), []).append((child.text or "").strip())
+            text = (child.text or "").strip()
+            group.values.setdefault(name.upper(), []).append(text)
+            if not text:  # It may be meant as a group: let its missing tags be named.
+                group.groups.append((name.upper(), Group(path, f"{place}/{name}", True)))
     return group
 
 

@@ -70,7 +70,7 @@ def polynomial_attitude(
         curve = QuaternionCurve(PolynomialCurve(table, offset, scale, (low, high)))
         at = np.clip(np.array([first_s, middle, last_s]), low, high)
         norms = np.linalg.norm(curve.components_xyzw.value(at), axis=-1)
-    if np.any(np.abs(norms - 1.0) > _NORM_TOLERANCE):
+    if not np.all(np.abs(norms - 1.0) <= _NORM_TOLERANCE):
         worst = norms[np.argmax(np.abs(norms - 1.0))]
         raise ProductError(
             model.path, model.place, f"unit quaternions expected, their norm is {worst:.4g}"
@@ -114,7 +114,7 @@ def quaternion_list_attitude(
 
 
 def _beyond(times_s: FloatArray, quat_xyzw: FloatArray, at_s: float) -> FloatArray:
-    """The list with one more in front, at `at_s`, along the turn of its first two."""
+    """Put one more in front of the list, at `at_s`, along the turn of its first two."""
     first, second = Rotation.from_quat(quat_xyzw[0]), Rotation.from_quat(quat_xyzw[1])
     part = (at_s - times_s[0]) / (times_s[1] - times_s[0])
     added = first * Rotation.from_rotvec(part * (first.inv() * second).as_rotvec())

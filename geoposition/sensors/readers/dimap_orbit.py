@@ -63,7 +63,7 @@ class Orbit:
         return Ephemeris(self.epoch, self.positions)
 
     def prolonged(self, first_s: float, last_s: float, most_s: float) -> Orbit:
-        """Same orbit with points added at `first_s`, `last_s` if it misses them by <= `most_s`.
+        """Add points at `first_s` and `last_s` where the orbit misses them by <= `most_s`.
 
         An added point lies on the polynomial through the last ones, so nothing changes inside.
         """
@@ -107,9 +107,9 @@ def read_orbit(
     orbit = Orbit(epoch, times, position, speed)
     with blamed_on(points):
         _ = orbit.positions  # refuses unsorted and repeated times
-    radius = np.linalg.norm(position, axis=1)
+        radius = np.linalg.norm(position, axis=1)
     low, high = _RADIUS_RANGE_M
-    bad = (radius < low) | (radius > high)
+    bad = ~((radius >= low) & (radius <= high))
     if np.any(bad):
         worst = int(np.argmax(bad))
         raise ProductError(

@@ -11,7 +11,7 @@ checked against the tie points that come with the products.
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -38,27 +38,34 @@ from geoposition.sensors.readers.dimap_xml import (
     image_shape,
     line_period_s,
 )
+from geoposition.sensors.readers.source import Source
 from geoposition.sensors.timing import ConstantLineRate
 from geoposition.xmlfile import XmlNode, read_xml
 
-if TYPE_CHECKING:
-    from geoposition.sensors.readers.source import Source
-
 FORMAT: Final = "DIMAP v1 (SPOT 1-5)"
 CANDIDATES: Final = (
-    "METADATA.DIM", "metadata.dim", "*.DIM", "*.dim", "**/METADATA.DIM", "**/metadata.dim",
-    "*.xml", "*.XML",
+    "METADATA.DIM",
+    "metadata.dim",
+    "**/METADATA.DIM",
+    "**/metadata.dim",
+    "*.DIM",
+    "*.dim",
+    "*.xml",
+    "*.XML",
 )  # fmt: skip
 
 _R_BODY_CAMERA: Final = (1.0, 0.0, 0.0, 0.0)
 """Quaternion xyzw, half a turn about x: the camera's optical axis looks down, the body's z up."""
 _MOST_ANGLE_RAD: Final = 1.2
 _LEVEL: Final = "1A"
+_IMAGE_SUFFIXES: Final = (".tif", ".tiff", ".jp2")
 
 
 def recognises(source: Source) -> bool:
-    """Whether `source` is DIMAP v1 metadata."""
-    if source.xml_root != "Dimap_Document":
+    """Whether `source` is DIMAP v1 metadata of an image, not of a volume."""
+    if source.xml_root != "Dimap_Document" or re.search(
+        rb"METADATA_PROFILE[^>]*>\s*VOLUME", source.head
+    ):
         return False
     return re.search(rb"<\s*(\w+:)?Metadata_Id\s*>", source.head) is not None
 
@@ -113,6 +120,8 @@ def read(source: Source) -> Product:
     image_path, image_notes = image_file(
         root.all("Data_Access/Data_File/DATA_FILE_PATH"), root.path
     )
+    if image_path is not None and image_path.suffix.lower() not in _IMAGE_SUFFIXES:
+        image_path = root.path  # raw samples: GDAL reads them through the metadata
     details["notes"] = tuple(notes + image_notes)
     sensor = " ".join(
         f"{scene.text(tag)}{scene.text(tag + '_INDEX')}" for tag in ("MISSION", "INSTRUMENT")
@@ -209,7 +218,7 @@ def _directions(band: XmlNode, cols: int) -> tuple[Directions, int, list[str]]:
     detectors = np.arange(1, last + 1)
     table = np.stack([np.interp(detectors, ids, psi[:, k]) for k in range(2)], axis=-1)
     with blamed_on(parent):
-        directions = TableDirections(detectors - 1.0, -np.tan(table))
+        directions = TableDirections(read_only(detectors - 1.0), read_only(-np.tan(table)))
     return directions, min(last, cols), _column_notes(last, cols)
 
 
@@ -235,7 +244,7 @@ def _tie_points(root: XmlNode) -> FloatArray:
             rows.append([node.number(f"TIE_POINT_{tag}") for tag in tags])
     ties = np.array(rows).reshape(-1, 5) - np.array([1.0, 1.0, 0.0, 0.0, 0.0])
     ties[:, 2:4] = np.radians(ties[:, 2:4])
-    return ties
+    return read_only(ties)
 
 
 def _tie_distance_m(model: PushbroomModel, ties: FloatArray) -> float:

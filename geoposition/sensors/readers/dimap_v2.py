@@ -12,8 +12,11 @@ conventions were checked against vendor RPCs and corner coordinates.
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+import numpy as np
+
+from geoposition.arrays import FloatArray, read_only
 from geoposition.corrections import NO_CORRECTIONS
 from geoposition.errors import ProductError, UnsupportedError
 from geoposition.product import Product
@@ -36,11 +39,9 @@ from geoposition.sensors.readers.dimap_xml import (
     image_shape,
     line_period_s,
 )
+from geoposition.sensors.readers.source import Source
 from geoposition.sensors.timing import ConstantLineRate
 from geoposition.xmlfile import XmlNode, read_xml
-
-if TYPE_CHECKING:
-    from geoposition.sensors.readers.source import Source
 
 FORMAT: Final = "DIMAP v2 (Pleiades, SPOT 6/7)"
 CANDIDATES: Final = (
@@ -77,11 +78,11 @@ def read(source: Source) -> Product:
 
 def _read_product(root: XmlNode, notes: list[str]) -> Product:
     profile = _sensor_profile(root)
+    shape = image_shape(root.need("Raster_Data/Raster_Dimensions"))
     rpc_path, rpc_note = rpc_file(root)
-    vendor_rpc = None if rpc_path is None else read_rpc(rpc_path)
+    vendor_rpc = None if rpc_path is None else read_rpc(rpc_path).with_shape(shape)
     if rpc_note is not None:
         notes.append(rpc_note)
-    shape = image_shape(root.need("Raster_Data/Raster_Dimensions"))
     image_path, image_notes = image_file(
         root.all("Raster_Data/Data_Access/Data_Files/Data_File/DATA_FILE_PATH"), root.path
     )
@@ -216,11 +217,11 @@ def _directions(
             notes.append(f"look angles of band {names[index]}, of {', '.join(names)}")
     biases = instrument.find("Instrument_Biases")
     if biases is not None:
-        for node in (biases.find(tag) for tag in ("YAW", "PITCH", "ROLL")):
-            if node is not None and node.number() != 0.0:
-                raise UnsupportedError(
-                    node.path, node.place, "instrument biases other than 0 are not understood"
-                )
+        found = [
+            biases.number(tag) for tag in ("YAW", "PITCH", "ROLL") if biases.find(tag) is not None
+        ]
+        if np.any(found):
+            notes.append("instrument biases other than 0 are stated and not applied")
     first_col = chosen.need("Swath_Range").number("FIRST_COL")
     last_col = chosen.need("Swath_Range").number("LAST_COL")
     if not last_col - first_col + 1 >= 1:
@@ -235,16 +236,16 @@ def _directions(
     look = chosen.need("Polynomial_Look_Angles")
     x, y = _look_angle(look, "XLOS"), _look_angle(look, "YLOS")
     with blamed_on(look):
-        directions = PolynomialDirections(y, [-c for c in x], offset=1.0 - first_col)  # type: ignore[arg-type]
-        widest = abs(directions.tangents([0.0, samples - 1.0])).max()
-    if widest > _MOST_TAN:
+        directions = PolynomialDirections(y, -x, offset=1.0 - first_col)
+        widest = np.max(np.abs(directions.tangents([0.0, samples - 1.0])))
+    if not widest <= _MOST_TAN:
         raise ProductError(
             look.path, look.place, f"tangents below {_MOST_TAN} expected, they reach {widest:.3g}"
         )
     return directions
 
 
-def _look_angle(look: XmlNode, name: str) -> list[float]:
+def _look_angle(look: XmlNode, name: str) -> FloatArray:
     """Coefficients `name`_0 (required), `name`_1, ... as far as they go."""
     values = [look.number(f"{name}_0")]
     if name == "XLOS":
@@ -253,7 +254,7 @@ def _look_angle(look: XmlNode, name: str) -> list[float]:
         if look.find(f"{name}_{degree}") is None:
             break
         values.append(look.number(f"{name}_{degree}"))
-    return values
+    return read_only(values)
 
 
 def _sensor_name(root: XmlNode, profile: str) -> str:

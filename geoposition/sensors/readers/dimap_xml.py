@@ -6,8 +6,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from geoposition.errors import ArgumentError, ConvergenceError, GeometryError, ProductError
-from geoposition.errors import SpanError, UnsupportedError
+import numpy as np
+
+from geoposition.errors import (
+    ArgumentError,
+    ConvergenceError,
+    GeometryError,
+    ProductError,
+    SpanError,
+    UnsupportedError,
+)
 from geoposition.timescale import Epoch
 from geoposition.xmlfile import XmlNode
 
@@ -30,9 +38,13 @@ _UNITS: Final = {"s": _TIME_UNITS_S, "m": _LENGTH_UNITS_M, "m/s": _SPEED_UNITS_M
 
 @contextmanager
 def blamed_on(node: XmlNode) -> Iterator[None]:
-    """Turn what the nouns refuse inside the block into a `ProductError` that names `node`."""
+    """Turn what the nouns refuse inside the block into a `ProductError` that names `node`.
+
+    Absurd numbers may overflow on their way to the refusal, without a warning.
+    """
     try:
-        yield
+        with np.errstate(over="ignore", invalid="ignore"):
+            yield
     except (ArgumentError, GeometryError, SpanError, ConvergenceError) as error:
         raise ProductError(node.path, node.place, str(error)) from None
 
@@ -77,7 +89,7 @@ def image_shape(dimensions: XmlNode) -> tuple[int, int]:
 
 
 def corners(vertices: list[XmlNode], prefix: str = "") -> list[dict[str, float]]:
-    """The maker's corners: `row`, `col` (0-based), `lon_deg`, `lat_deg`; heights unstated."""
+    """Read the maker's corners: `row`, `col` (0-based), `lon_deg`, `lat_deg`; heights unstated."""
     names = {"row": "ROW", "col": "COL", "lon_deg": "LON", "lat_deg": "LAT"}
     result = []
     for vertex in vertices:

@@ -12,7 +12,7 @@ inertial ones on Earth-fixed axes, aberration and refraction are contained.
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from geoposition.corrections import NO_CORRECTIONS
 from geoposition.errors import ProductError, UnsupportedError
 from geoposition.product import Product
 from geoposition.pushbroom import PushbroomModel
-from geoposition.rpc.direct import DirectRpc
-from geoposition.rpc.model import RpcModel, RpcValidity
+from geoposition.rpc.formats import read_rpc
 from geoposition.sensors.directions import PolynomialDirections
 from geoposition.sensors.line_camera import LineCamera
 from geoposition.sensors.readers.dimap_attitude import polynomial_attitude
@@ -35,11 +34,9 @@ from geoposition.sensors.readers.dimap_xml import (
     image_shape,
     line_period_s,
 )
+from geoposition.sensors.readers.source import Source
 from geoposition.sensors.timing import ConstantLineRate
 from geoposition.xmlfile import XmlNode, read_xml
-
-if TYPE_CHECKING:
-    from geoposition.sensors.readers.source import Source
 
 FORMAT: Final = "Pleiades system metadata (DIMAP_PHR)"
 CANDIDATES: Final = ("PHRDIMAP*.XML", "phrdimap*.xml", "**/PHRDIMAP*.XML")
@@ -84,7 +81,8 @@ def read(source: Source) -> Product:
     )
     attitude, notes = polynomial_attitude(_attitude_node(sensor), epoch, -period, last + period)
     directions = _directions(sensor.need("Sensor_Viewing_Model"), shape[1])
-    rpc = _rational_model(root, shape)
+    rational = root.find("Geoposition/Rational_Sensor_Model/Global_RFM")
+    rpc = None if rational is None else read_rpc(root.path)
     with blamed_on(sensor):
         camera = LineCamera.single(shape, ConstantLineRate(epoch, 0.0, period), directions)
         model = PushbroomModel(camera, orbit.ephemeris(), attitude, NO_CORRECTIONS, HEIGHT_RANGE_M)
@@ -98,7 +96,7 @@ def read(source: Source) -> Product:
         "corners": corners(root.all("Product_Frame/Dataset_Frame/Vertex")),
         "line_period_s": period,
         "velocities_in_file": orbit.velocity_kind,
-        "notes": tuple([*notes, *image_notes]),
+        "notes": (*notes, *image_notes),
     }
     return Product(root.path, FORMAT, _sensor_name(root), model, rpc, image_path, epoch, details)
 
@@ -129,51 +127,13 @@ def _directions(viewing: XmlNode, samples: int) -> PolynomialDirections:
     with blamed_on(directions):
         result = PolynomialDirections(psi[1], -psi[0], offset=1.0 - first_col)
         widest = float(np.max(np.abs(result.tangents([0.0, samples - 1.0]))))
-    if widest > _MOST_TAN:
+    if not widest <= _MOST_TAN:
         raise ProductError(
             directions.path,
             directions.place,
             f"tangents below {_MOST_TAN} expected, they reach {widest:.3g}",
         )
     return result
-
-
-def _rational_model(root: XmlNode, shape: tuple[int, int]) -> RpcModel | None:
-    """RPC of the image, in this file's own notation: A is a scale, B an offset."""
-    rfm = root.find("Geoposition/Rational_Sensor_Model/Global_RFM")
-    if rfm is None:
-        return None
-    inverse, direct = rfm.need("Inverse_Model"), rfm.need("Direct_Model")
-    domain = rfm.need("RFM_Validity")
-    scale = {axis: domain.number(f"{axis}/A") for axis in ("Lon", "Lat", "Alt", "Col", "Row")}
-    off = {axis: domain.number(f"{axis}/B") for axis in scale}
-    row, col = inverse.need("F_ROW").numbers(40), inverse.need("F_COL").numbers(40)
-    lon, lat = direct.need("F_LON").numbers(40), direct.need("F_LAT").numbers(40)
-    image = domain.need("Direct_Model_Validity_Domain")
-    ground = domain.need("Inverse_Model_Validity_Domain")
-    with blamed_on(rfm):
-        return RpcModel(
-            line_off_px=off["Row"] - 1.0, line_scale_px=scale["Row"],
-            samp_off_px=off["Col"] - 1.0, samp_scale_px=scale["Col"],
-            lon_off_deg=off["Lon"], lon_scale_deg=scale["Lon"],
-            lat_off_deg=off["Lat"], lat_scale_deg=scale["Lat"],
-            height_off_m=off["Alt"], height_scale_m=scale["Alt"],
-            line_num=row[:20], line_den=row[20:], samp_num=col[:20], samp_den=col[20:],
-            image_shape=shape,
-            fit_error_px=(
-                inverse.number("MODEL_PRECISION_ROW"), inverse.number("MODEL_PRECISION_COL"),
-            ),
-            direct=DirectRpc(
-                lon[:20], lon[20:], lat[:20], lat[20:],
-                (direct.number("MODEL_PRECISION_X"), direct.number("MODEL_PRECISION_Y")),
-            ),
-            validity=RpcValidity(
-                (image.number("FIRST_ROW") - 1.0, image.number("LAST_ROW") - 1.0),
-                (image.number("FIRST_COL") - 1.0, image.number("LAST_COL") - 1.0),
-                (ground.number("FIRST_LON"), ground.number("LAST_LON")),
-                (ground.number("FIRST_LAT"), ground.number("LAST_LAT")),
-            ),
-        )  # fmt: skip
 
 
 def _sensor_name(root: XmlNode) -> str:

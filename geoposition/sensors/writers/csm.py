@@ -40,10 +40,11 @@ from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import GeometryError, UnsupportedError
 from geoposition.flags import has_result
 from geoposition.pushbroom import PushbroomModel
+from geoposition.sensors.readers.csm_interpolation import CsmLagrangeCurve
 from geoposition.sensors.readers.csm_json import LINE_SCANNER, JsonNode
 from geoposition.sensors.readers.csm_scanner import LineScanner
 from geoposition.sensors.readers.csm_state import J2000_TT_S, KAGUYA, RADIAL, scanner_from_state
-from geoposition.sensors.writers.atomic import write_text_whole
+from geoposition.sensors.writers.atomic import files_whole
 from geoposition.sensors.writers.csm_bake import Baked, bake, covered_lines
 from geoposition.timescale import Epoch
 
@@ -108,7 +109,7 @@ def write_csm(
             f"a camera that one straight or cubic line of detectors holds expected, this one is "
             f"missed by {report.max_angle_px:.3g} px",
         )
-    write_text_whole(path, f"{LINE_SCANNER}\n{text}\n")
+    files_whole({path: f"{LINE_SCANNER}\n{text}\n"})
     return report
 
 
@@ -171,8 +172,9 @@ def _state(
     return state | _focal_plane(model, baked, height_m)
 
 
-def _times(curve: Any) -> FloatArray:
-    return np.clip(curve.knots_s, *curve.span_s)
+def _times(curve: CsmLagrangeCurve) -> FloatArray:
+    times: FloatArray = np.clip(curve.knots_s, *curve.span_s)
+    return times
 
 
 def _line_times(timing: LineTiming, lines: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -244,7 +246,7 @@ def _focal_plane(model: PushbroomModel, baked: Baked, height_m: float) -> dict[s
 
 def _per_line(model: PushbroomModel, baked: Baked, height_m: float, focal: float) -> FloatArray:
     """Where the ground of the next line appears in the focal plane, relative to this line's."""
-    lines, samples = model.shape
+    samples = model.shape[1]
     middle = 0.5 * (samples - 1)
     first, last = covered_lines(model, height_m)
     pair = np.array([[first, middle], [min(first + 1.0, last), middle]])

@@ -42,7 +42,7 @@ class Detector:
     misfit_rad: float
 
     def directions(self, sample: FloatArray) -> FloatArray:
-        """Unit directions (..., 3) in the camera frame."""
+        """Directions (..., 3) in the camera frame, of unit length."""
         s = np.asarray(sample, dtype=np.float64) - self.origin
         polyval = np.polynomial.polynomial.polyval
         d = np.stack([polyval(s, self.x), polyval(s, self.y), np.ones_like(s)], axis=-1)
@@ -59,9 +59,7 @@ class Baked:
     detector: Detector
 
 
-def bake(
-    model: PushbroomModel, height_m: float, tolerance_rad: float, tolerance_m: float
-) -> Baked:
+def bake(model: PushbroomModel, height_m: float, tolerance_rad: float, tolerance_m: float) -> Baked:
     """Bake the rays of `model` at `height_m`; tables are refined until both tolerances hold."""
     first, last = covered_lines(model, height_m)
     R_ecef_camera = _Attitude(model, height_m, np.linspace(first, last, _FIT_LINES))
@@ -176,11 +174,12 @@ def _refined(
     """
     cells = _FIRST_CELLS
     step = (span_s[1] - span_s[0]) / cells
-    known = evaluate(span_s[0] + step * np.arange(-PADS, cells + PADS + 1))
+    steps = np.arange(-PADS, cells + PADS + 1, dtype=np.float64)
+    known = evaluate(span_s[0] + step * steps)
     while True:
         values = _with_ends(known)
         curve = CsmLagrangeCurve(span_s[0] - PADS * step, step, values)
-        middle_s = span_s[0] + step * (np.arange(-PADS, cells + PADS) + 0.5)
+        middle_s: FloatArray = span_s[0] + step * (np.arange(0.5 - PADS, cells + PADS))
         middles = evaluate(middle_s)
         if middles.shape[1] == 4:
             middles *= np.where(np.sum(middles * values[:-1], axis=1) < 0, -1.0, 1.0)[:, None]
@@ -208,8 +207,6 @@ def _with_ends(values: FloatArray) -> FloatArray:
         (np.arange(high + 1, len(values)), np.arange(high - 7, high + 1)),
     ):
         for i in gap:
-            weights = [
-                np.prod([(i - m) / (n - m) for m in nodes if m != n]) for n in nodes
-            ]
+            weights = [np.prod([(i - m) / (n - m) for m in nodes if m != n]) for n in nodes]
             result[i] = weights @ values[nodes]
     return result

@@ -1,0 +1,127 @@
+"""Location of image points on terrain, for any `SensorModel`.
+
+A model's ray is straight and exact at one height only (refraction bends it, light takes time,
+a rational polynomial has no rays at all). So rays are taken at a guessed height, crossed with
+the terrain, taken again at the height found, until what is left of the bending is below
+`LATERAL_TOLERANCE_M`. How fast a model's rays bend is measured on a few points of each chunk;
+where they do not, one pass is enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geoposition.arrays import FlagArray, FloatArray, as_components
+from geoposition.ellipsoid import geodetic_to_ecef
+from geoposition.errors import ArgumentError
+from geoposition.flags import Flag, has_result
+from geoposition.rays import Rays
+from geoposition.sensor_model import GroundPoints, SensorModel
+from geoposition.terrain import ConstantTerrain, Terrain
+
+Progress: TypeAlias = Callable[[int, int], None]
+
+LATERAL_TOLERANCE_M: Final = 1e-4
+_MOST_PASSES: Final = 6
+_SAMPLE: Final = 64
+_LEAST_RATE: Final = 1e-9
+"""Metres aside per metre of height that any model is supposed to bend, against division by 0."""
+
+
+def locate(
+    model: SensorModel,
+    image_px: ArrayLike,
+    terrain: Terrain,
+    progress: Progress | None = None,
+    chunk: int = 262_144,
+) -> GroundPoints:
+    """Locate `image_px` (..., 2) = (line, sample) on `terrain`: first crossings from above.
+
+    Flags: the model's own where it has no ray, `OUTSIDE_IMAGE` kept with its result, the
+    terrain's (`NODATA`, `OUTSIDE_TERRAIN`, `NO_INTERSECTION`), and `NOT_CONVERGED` where the
+    found height and the ray never agree (a bent ray that just touches a ridge).
+
+    Parameters
+    ----------
+    progress
+        Called as progress(done, total) after each chunk.
+    chunk
+        Points worked on at a time; bounds the memory.
+    """
+    points = as_components(image_px, 2, "image points")
+    if chunk < 1:
+        raise ArgumentError(f"chunk: at least 1 point expected, got {chunk}")
+    if isinstance(terrain, ConstantTerrain):
+        return model.image_to_ground(points, terrain.height_m)
+    shape = points.shape[:-1]
+    flat = points.reshape(-1, 2)
+    geodetic = np.full((len(flat), 3), np.nan)
+    flag: FlagArray = np.empty(len(flat), dtype=np.uint8)
+    guess_m = 0.5 * (model.height_range_m[0] + model.height_range_m[1])
+    for start in range(0, len(flat), chunk):
+        part = slice(start, min(start + chunk, len(flat)))
+        geodetic[part], flag[part] = _locate(model, flat[part], terrain, guess_m)
+        found = geodetic[part][has_result(flag[part]), 2]
+        if found.size:
+            guess_m = float(np.median(found))
+        if progress is not None:
+            progress(part.stop, len(flat))
+    return GroundPoints(geodetic.reshape(*shape, 3), flag.reshape(shape))
+
+
+def _locate(
+    model: SensorModel, image_px: FloatArray, terrain: Terrain, guess_m: float
+) -> tuple[FloatArray, FlagArray]:
+    rays = model.rays(image_px, guess_m)
+    crossing = terrain.first_crossing(rays)
+    geodetic = np.array(crossing.geodetic)
+    flag: FlagArray = np.array(crossing.flag)
+    rate = _bending_rate(model, image_px, guess_m, geodetic)
+    away_m = np.abs(geodetic[:, 2] - guess_m)
+    open_ = np.flatnonzero(away_m * rate > LATERAL_TOLERANCE_M)
+    for _ in range(_MOST_PASSES - 1):
+        if not open_.size:
+            break
+        height_m = geodetic[open_, 2]
+        crossing = terrain.first_crossing(model.rays(image_px[open_], height_m), height_m)
+        geodetic[open_], flag[open_] = crossing.geodetic, crossing.flag
+        away_m = np.abs(crossing.geodetic[:, 2] - height_m)
+        open_ = open_[away_m * rate > LATERAL_TOLERANCE_M]
+    flag[open_] = Flag.NOT_CONVERGED
+    geodetic[open_] = np.nan
+    ok = flag == Flag.OK
+    own = np.broadcast_to(rays.flag, ok.shape)
+    flag[ok] = own[ok]
+    return geodetic, flag
+
+
+def _bending_rate(
+    model: SensorModel, image_px: FloatArray, guess_m: float, geodetic: FloatArray
+) -> float:
+    """Metres aside per metre of height of the rays of `guess_m`, at worst of a few points.
+
+    At the height found, or 100 m from the guess where that is nearer.
+    """
+    found = np.flatnonzero(np.isfinite(geodetic[:, 2]))
+    if not found.size:
+        return _LEAST_RATE
+    pick = found[np.linspace(0, len(found) - 1, min(_SAMPLE, len(found))).astype(np.int64)]
+    away_m = geodetic[pick, 2] - guess_m
+    away_m = np.where(np.abs(away_m) < 100.0, 100.0, away_m)
+    there = model.image_to_ground(image_px[pick], guess_m + away_m)
+    straight = model.rays(image_px[pick], guess_m)
+    aside_m = _distance_m(straight, geodetic_to_ecef(there.geodetic))
+    rate = float(np.nanmax(aside_m / np.abs(away_m), initial=0.0))
+    # the bending of a quadratic grows; twice the chord's rate covers its tangent's
+    return max(2.0 * rate, _LEAST_RATE)
+
+
+def _distance_m(rays: Rays, points_ecef_m: FloatArray) -> FloatArray:
+    offset = points_ecef_m - rays.origin_ecef_m
+    along = np.sum(offset * rays.direction_ecef, axis=-1, keepdims=True)
+    distance: FloatArray = np.linalg.norm(offset - along * rays.direction_ecef, axis=-1)
+    return distance

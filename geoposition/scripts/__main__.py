@@ -1,0 +1,5 @@
+"""`python -m geoposition.scripts` is the command line."""
+
+from geoposition.scripts.cli import main
+
+main()

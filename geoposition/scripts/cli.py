@@ -1,0 +1,105 @@
+"""The command line: `geoposition COMMAND ...`.
+
+Errors are one line on stderr: exit 2 for bad usage or bad input, 1 for a defect of ours.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+
+import click
+import typer
+
+import geoposition
+from geoposition.errors import GeopositionError
+
+app = typer.Typer(
+    name="geoposition",
+    help="From push-broom images, ephemeris and attitude to ground positions of known accuracy.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+rpc_app = typer.Typer(help="Rational polynomial coefficients: compare them with a model.",
+                      no_args_is_help=True)
+app.add_typer(rpc_app, name="rpc")
+
+_COMMANDS = ("demo", "info", "locate", "project", "intersect", "rpc_compare")
+
+
+@app.callback(invoke_without_command=True)
+def _main(
+    version: bool = typer.Option(False, "--version", help="Show the version and exit."),
+) -> None:
+    if version:
+        typer.echo(geoposition.__version__)
+        raise typer.Exit
+
+
+def build() -> typer.Typer:
+    """Return the application with all commands registered."""
+    for name in _COMMANDS:
+        module = import_module(f"geoposition.scripts.commands.{name}")
+        target = rpc_app if name.startswith("rpc_") else app
+        command = name.removeprefix("rpc_").replace("_", "-")
+        registered = {entry.name for entry in target.registered_commands}
+        if command not in registered:
+            target.command(command)(module.command)
+    return app
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit."""
+    sys.exit(run(arguments))
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run the command line and return its exit status."""
+    try:
+        command = typer.main.get_command(build())
+        result = command.main(args=arguments, prog_name="geoposition", standalone_mode=False)
+        return int(result) if isinstance(result, int) else 0
+    except click.exceptions.Exit as stop:
+        return int(stop.exit_code)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.ctx.get_help() if error.ctx else "", err=True)
+        return 2
+    except click.ClickException as error:
+        return _fail(error.format_message(), 2)
+    except click.Abort:
+        return _fail("interrupted", 130)
+    except GeopositionError as error:
+        _reraise_for_developers()
+        return _fail(str(error), 2)
+    except OSError as error:
+        _reraise_for_developers()
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{where}{error.strerror or error}", 2)
+    except MemoryError:
+        return _fail("not enough memory for this input", 2)
+    except Exception as error:  # the last door: a user never sees a traceback
+        _reraise_for_developers()
+        return _fail(
+            f"internal error, please report it with the command you ran: "
+            f"{type(error).__name__}: {error} (GEOPOSITION_TRACEBACK=1 shows where)",
+            1,
+        )
+
+
+def _reraise_for_developers() -> None:
+    if os.environ.get("GEOPOSITION_TRACEBACK"):
+        raise  # noqa: PLE0704  re-raises what the caller is handling
+
+
+def _fail(message: str, status: int) -> int:
+    line = " ".join(message.split())
+    print(f"geoposition: {line}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    main()
