@@ -51,6 +51,11 @@ class PushbroomModel:
         """Image size (lines, samples)."""
         return self.camera.shape
 
+    @property
+    def covered_lines(self) -> tuple[float, float]:
+        """First and last line for which there is a pose, the margin included."""
+        return self._table.first_line, self._table.last_line
+
     def image_to_ground(self, image_px: ArrayLike, height_m: ArrayLike) -> GroundPoints:
         """Locate `image_px` (..., 2) on the surface of ellipsoidal height `height_m` (...)."""
         points, heights, step, shape = _flat(image_px, height_m)

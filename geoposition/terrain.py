@@ -118,6 +118,19 @@ def _level_crossings(
                 break
 
 
+@njit(cache=True, error_model="numpy")
+def _leave_ranges(
+    origin_ecef_m: FloatArray, direction_ecef: FloatArray, height_m: float
+) -> FloatArray:
+    """Range (n,) where each ray leaves the height upwards; NaN if it never had less."""
+    out = np.empty(origin_ecef_m.shape[0])
+    for k in range(out.size):
+        ox, oy, oz = origin_ecef_m[k, 0], origin_ecef_m[k, 1], origin_ecef_m[k, 2]
+        dx, dy, dz = direction_ecef[k, 0], direction_ecef[k, 1], direction_ecef[k, 2]
+        _, out[k] = shell_ranges(ox, oy, oz, dx, dy, dz, height_m)
+    return out
+
+
 @dataclass(frozen=True, slots=True)
 class ConstantTerrain:
     """The surface of one ellipsoidal height, `height_m`."""
@@ -215,9 +228,14 @@ class AnalyticTerrain:
         flat = Rays(origin, direction, np.zeros(len(origin), np.uint8))
         top = ConstantTerrain(self.highest_m + 1.0).first_crossing(flat)
         bottom = ConstantTerrain(self.lowest_m - 1.0).first_crossing(flat)
-        # a ray that starts between the two levels starts at its origin
+        # a ray that starts between the two levels starts at its origin, one that never gets
+        # down to the lower one ends where it rises above the upper one again
         start = np.where(top.flag == Flag.OK, top.range_m, 0.0)
-        flag = bottom.flag.copy()
+        leave = _leave_ranges(origin, direction, self.highest_m + 1.0)
+        end = np.where(bottom.flag == Flag.OK, bottom.range_m, leave)
+        flag = np.where(bottom.flag == Flag.BAD_INPUT, Flag.BAD_INPUT, Flag.NO_INTERSECTION)
+        flag[end > start] = Flag.OK
+        flag = flag.astype(np.uint8)
         low, high = start.copy(), np.full(len(start), np.nan)
         active = np.flatnonzero(flag == Flag.OK)
         above = self._above(origin[active] + start[active, None] * direction[active])
@@ -225,14 +243,14 @@ class AnalyticTerrain:
             flag[active[miss]] = reason
         active = active[above > 0.0]
         while active.size:
-            ahead = np.minimum(low[active] + self.step_m, bottom.range_m[active])
+            ahead = np.minimum(low[active] + self.step_m, end[active])
             above = self._above(origin[active] + ahead[:, None] * direction[active])
             met = above <= 0.0
             high[active[met]] = ahead[met]
             flag[active[np.isnan(above)]] = Flag.NODATA
             going = above > 0.0
             low[active[going]] = ahead[going]
-            active = active[going & (ahead < bottom.range_m[active])]
+            active = active[going & (ahead < end[active])]
         found = np.flatnonzero((flag == Flag.OK) & np.isfinite(high))
         flag[(flag == Flag.OK) & ~np.isfinite(high)] = Flag.NO_INTERSECTION
         for _ in range(max(1, math.ceil(math.log2(self.step_m / 1e-7)))):

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from affine import Affine
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from rasterio.transform import from_origin
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from geoposition.arrays import FloatArray
@@ -59,7 +59,7 @@ def write(
     path: Path, height: FloatArray, crs: str = "EPSG:4326", transform: object = None, **more: object
 ) -> Path:
     if transform is None:
-        transform = from_origin(WEST_DEG, NORTH_DEG, STEP_DEG, STEP_DEG)
+        transform = Affine(STEP_DEG, 0.0, WEST_DEG, 0.0, -STEP_DEG, NORTH_DEG)
     profile = {
         "driver": "GTiff",
         "height": height.shape[0],
@@ -136,15 +136,15 @@ def test_analytic_cone_is_met_where_geometry_says() -> None:
         return apex - slope * np.linalg.norm(foot - centre, axis=-1)
 
     terrain = AnalyticTerrain(cone, -3000.0, apex)
-    # a level ray above the flank, 300 m aside of the axis, meets the cone near radius 400 m
+    # an almost level ray towards the axis
     target = np.array([[lon0, lat0, 600.0]])
     rays = rays_to(target, np.array([89.0]), np.array([90.0]), range_m=20e3)
     found = terrain.first_crossing(rays)
     assert found.flag[0] == Flag.OK
     reached = found.geodetic[0]
     assert reached[2] == pytest.approx(terrain.height_at(reached).height_m, abs=1e-5)
-    # in the plane through the axis: |x| tan(cone) and the ray's 1 degree: x (1 - tan 1°) = 400
-    expected = 400.0 / (1.0 - np.tan(np.radians(1.0)))
+    # in the plane through the axis: 600 + x tan 1° = 1000 − x
+    expected = 400.0 / (1.0 + np.tan(np.radians(1.0)))
     range_to_axis = 20e3 - found.range_m[0]
     assert range_to_axis * np.cos(np.radians(1.0)) == pytest.approx(expected, abs=0.3)
 

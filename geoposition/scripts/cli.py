@@ -28,7 +28,7 @@ rpc_app = typer.Typer(help="Rational polynomial coefficients: compare them with 
                       no_args_is_help=True)
 app.add_typer(rpc_app, name="rpc")
 
-_COMMANDS = ("demo", "info", "locate", "project", "intersect", "rpc_compare")
+_COMMANDS = ("info", "locate", "project", "rpc_compare")
 
 
 @app.callback(invoke_without_command=True)

@@ -10,7 +10,7 @@ import pytest
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.flags import Flag
 from geoposition.product import Product
-from geoposition.sensors.readers import dimap_v2
+from geoposition.sensors.readers import dimap_v2, open_product
 from geoposition.sensors.readers.source import Source
 
 VOLUME = "linescan/pleiades1a/VOL_PHR.XML"
@@ -135,3 +135,17 @@ def test_spot6_tables_go_on_smoothly_past_the_first_and_last_line(spot6: Product
         assert np.linalg.norm(steps[1] - steps[0]) < 1e-3 * np.linalg.norm(steps[0])
     beyond = spot6.model.image_to_ground([[-3.0, 0.0], [lines + 2.0, 0.0]], 0.0)
     assert np.all(beyond.flag == Flag.OUTSIDE_MODEL)
+
+
+@pytest.mark.parametrize(
+    ("place", "sensor"),
+    [
+        ("linescan/pleiades1a", "Pleiades-1A"),
+        ("linescan/pleiades1a/IMG_PHR1A_P_001", "Pleiades-1A"),
+        (VOLUME, "Pleiades-1A"),
+        ("linescan/spot6", "SPOT 6"),
+        ("linescan/spot5_hrs", "SPOT5 HRS1"),
+    ],
+)
+def test_a_folder_or_a_file_is_enough(real_data: Path, place: str, sensor: str) -> None:
+    assert open_product(real_data / place).sensor == sensor

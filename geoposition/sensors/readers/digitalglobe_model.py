@@ -67,11 +67,11 @@ def _line_camera(image: ImageSupport, timing: LineTiming, camera: CameraSupport)
         (0.0, -camera.pitch_mm),
         camera.detector_rotation_rad,
     )
-    ends = directions.tangents(np.array([0.0, image.shape[1] - 1.0]))
-    if np.max(np.abs(ends)) > _MAX_TANGENT:
+    widest = float(np.max(np.abs(directions.tangents(np.array([0.0, image.shape[1] - 1.0])))))
+    if widest > _MAX_TANGENT:
         raise camera.group.error(
             "PRINCIPAL_DISTANCE/PD",
-            f"a view of at most {_MAX_TANGENT} rad off the axis expected, got {np.max(np.abs(ends)):g}",
+            f"a view of at most {_MAX_TANGENT} rad off the axis expected, got {widest:g}",
         )
     mounting = Mounting(
         Rotation.from_quat(camera.quat_xyzw_body_camera),

@@ -136,7 +136,7 @@ def parse_camera(geo: Group, band: str) -> CameraSupport:
             f"a level 1B camera expected, got {level!r}",
         )
     notes: list[str] = []
-    distance = _positive(geo.need("PRINCIPAL_DISTANCE"), "PD")
+    distance = _length_mm(geo.need("PRINCIPAL_DISTANCE"), "PD", 100.0, 1e5)
     _refuse_distortion(geo.need("OPTICAL_DISTORTION"))
     centre_group = geo.need("PERSPECTIVE_CENTER")
     centre = (centre_group.number("cX"), centre_group.number("cY"), centre_group.number("cZ"))
@@ -154,17 +154,17 @@ def parse_camera(geo: Group, band: str) -> CameraSupport:
         distance,
         (array.number("detOriginX"), array.number("detOriginY")),
         array.number("detRotAngle"),
-        _positive(array, "detPitch"),
+        _length_mm(array, "detPitch", 1e-4, 1.0),
         centre,
         quat,
         tuple(notes),
     )
 
 
-def _positive(group: Group, name: str) -> float:
+def _length_mm(group: Group, name: str, low_mm: float, high_mm: float) -> float:
     value = group.number(name)
-    if value <= 0:
-        raise group.error(name, f"a positive length in millimetres expected, got {value}")
+    if not low_mm <= value <= high_mm:
+        raise group.error(name, f"a length of {low_mm:g} .. {high_mm:g} mm expected, got {value:g}")
     return value
 
 

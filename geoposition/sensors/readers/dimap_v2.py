@@ -46,6 +46,8 @@ from geoposition.xmlfile import XmlNode, read_xml
 FORMAT: Final = "DIMAP v2 (Pleiades, SPOT 6/7)"
 CANDIDATES: Final = (
     "DIM_*.XML", "dim_*.xml", "VOL_*.XML", "vol_*.xml", "**/DIM_*.XML", "**/dim_*.xml",
+    "*.XML",
+    "*.xml",
 )  # fmt: skip
 
 _SENSORS: Final = {"PHR_SENSOR": "Pleiades", "S6_SENSOR": "SPOT 6", "S7_SENSOR": "SPOT 7"}

@@ -1,0 +1,97 @@
+"""A product in words and numbers: what `geoposition info` shows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geoposition.arrays import FloatArray
+from geoposition.ellipsoid import enu_axes, geodetic_to_ecef
+from geoposition.product import Product
+from geoposition.pushbroom import PushbroomModel
+from geoposition.rpc.model import RpcModel
+from geoposition.sensor_model import SensorModel
+
+
+def describe(product: Product) -> dict[str, object]:
+    """Facts about `product` by name, fit for JSON."""
+    model = product.model
+    lines, samples = model.shape
+    facts: dict[str, object] = {
+        "format": product.format,
+        "sensor": product.sensor,
+        "model": "rigorous" if product.is_rigorous else "rpc",
+        "lines": lines,
+        "samples": samples,
+        "height_range_m": list(model.height_range_m),
+        "pixel_origin": "centre of the first pixel is row 0, col 0",
+        "ground_frame": "WGS 84 (ITRS), heights above the ellipsoid",
+        "footprint": footprint(model),
+        **ground_sample(model),
+    }
+    if product.start is not None:
+        facts["start_utc"] = product.start.utc_iso()
+    if isinstance(model, PushbroomModel):
+        facts |= _rigorous(model)
+    if isinstance(model, RpcModel) and not model.shape_known:
+        facts["image_size"] = "unknown: derived from the RPC's offset and scale"
+    facts["vendor_rpc"] = product.vendor_rpc is not None
+    facts["image"] = None if product.image_path is None else str(product.image_path)
+    facts["details"] = dict(product.details)
+    return facts
+
+
+def footprint(model: SensorModel) -> dict[str, object]:
+    """Corners (lon, lat in degrees) at the middle of the height range, clockwise from (0, 0)."""
+    lines, samples = model.shape
+    height = float(np.mean(model.height_range_m))
+    corners = [[0, 0], [0, samples - 1], [lines - 1, samples - 1], [lines - 1, 0]]
+    ground = model.image_to_ground(np.array(corners, dtype=np.float64), height)
+    degrees = np.round(np.degrees(ground.geodetic[:, :2]), 9)
+    return {"height_m": height, "corners_lon_lat_deg": degrees.tolist()}
+
+
+def ground_sample(model: SensorModel) -> dict[str, object]:
+    """Ground sample along lines and samples (m), and the view at the image's centre."""
+    lines, samples = model.shape
+    centre = np.array([0.5 * (lines - 1), 0.5 * (samples - 1)])
+    height = float(np.mean(model.height_range_m))
+    points = centre + np.array([[0, 0], [0.5, 0], [-0.5, 0], [0, 0.5], [0, -0.5]])
+    ecef = geodetic_to_ecef(model.image_to_ground(points, height).geodetic)
+    step_row = float(np.linalg.norm(ecef[1] - ecef[2]))
+    step_col = float(np.linalg.norm(ecef[3] - ecef[4]))
+    ray = model.rays(centre, height)
+    ground = model.image_to_ground(centre, height).geodetic
+    east, north, up = -ray.direction_ecef @ enu_axes(ground)
+    view: FloatArray = np.degrees([np.arccos(np.clip(up, -1, 1)), np.arctan2(east, north)])
+    return {
+        "ground_sample_m": {"row": round(step_row, 4), "col": round(step_col, 4)},
+        "satellite_zenith_deg": round(float(view[0]), 4),
+        "satellite_azimuth_deg": round(float(view[1] % 360.0), 4),
+    }
+
+
+def _rigorous(model: PushbroomModel) -> dict[str, object]:
+    timing = model.camera.timing
+    lines = model.shape[0]
+    first, last = (float(t) for t in timing.time_s(np.array([0.0, lines - 1.0])))
+    covered = model.covered_lines
+    return {
+        "first_line_utc": (timing.epoch + first).utc_iso(),
+        "last_line_utc": (timing.epoch + last).utc_iso(),
+        "line_period_s": (last - first) / max(lines - 1, 1),
+        "scan": "forward" if last >= first else "reverse",
+        "corrections": model.corrections.describe(),
+        "ephemeris": {
+            "frame": model.ephemeris.frame,
+            "interpolation": type(model.ephemeris.curve).__name__,
+            "span_s": list(model.ephemeris.span_s),
+        },
+        "attitude": {
+            "frame": model.attitude.frame,
+            "interpolation": type(model.attitude.curve).__name__,
+            "span_s": list(model.attitude.span_s),
+            "covariance": model.attitude.covariance_rad2 is not None,
+        },
+        "covered_lines": list(covered),
+        "ccds": len(model.camera.detectors),
+    }
