@@ -16,6 +16,7 @@ from geoposition.arrays import FloatArray, read_only, require_finite, require_in
 from geoposition.ephemeris import Frame
 from geoposition.errors import ArgumentError
 from geoposition.interpolation import Curve, LagrangeCurve, PolynomialCurve, within_span
+from geoposition.rotation import continuous_quat
 from geoposition.timescale import Epoch
 
 _UNIT_TOLERANCE = 1e-3
@@ -43,7 +44,7 @@ class RotationCurve(Protocol):
 def continuous_unit_quaternions(times_s: ArrayLike, quat_xyzw: ArrayLike) -> FloatArray:
     """Check a series `quat_xyzw` (n, 4) and return it unit, with signs made continuous."""
     times = require_increasing(np.asarray(times_s, dtype=np.float64), "attitude times")
-    quats = np.array(quat_xyzw, dtype=np.float64)
+    quats = np.asarray(quat_xyzw, dtype=np.float64)
     if quats.shape != (len(times), 4):
         raise ArgumentError(f"quaternions: shape ({len(times)}, 4) expected, got {quats.shape}")
     require_finite(quats, "quaternions")
@@ -51,10 +52,7 @@ def continuous_unit_quaternions(times_s: ArrayLike, quat_xyzw: ArrayLike) -> Flo
     if np.any(np.abs(norms - 1.0) > _UNIT_TOLERANCE):
         bad = int(np.argmax(np.abs(norms - 1.0)))
         raise ArgumentError(f"quaternions: unit norm expected, entry {bad} has {norms[bad]:.6g}")
-    quats /= norms[:, None]
-    flips = np.where(np.sum(quats[1:] * quats[:-1], axis=1) < 0, -1.0, 1.0)
-    quats[1:] *= np.cumprod(flips)[:, None]
-    return read_only(quats)
+    return read_only(continuous_quat(quats / norms[:, None]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,9 +124,7 @@ class QuaternionCurve:
     components_xyzw: Curve
 
     @classmethod
-    def lagrange(
-        cls, times_s: ArrayLike, quat_xyzw: ArrayLike, points: int = 8
-    ) -> QuaternionCurve:
+    def lagrange(cls, times_s: ArrayLike, quat_xyzw: ArrayLike, points: int = 8) -> QuaternionCurve:
         """Lagrange interpolation of sign-continuous components (n, 4)."""
         quats = continuous_unit_quaternions(times_s, quat_xyzw)
         return cls(LagrangeCurve(read_only(times_s), quats, points))

@@ -208,7 +208,9 @@ class PolynomialCurve:
         scale = max(0.5 * float(times[-1] - times[0]), 1e-9)
         design = np.vander((times - offset) / scale, degree + 1, increasing=True)
         coefficients = np.linalg.lstsq(design, table, rcond=None)[0]
-        return cls(coefficients, float(offset), scale, (float(times[0]), float(times[-1])))
+        return cls(
+            read_only(coefficients), float(offset), scale, (float(times[0]), float(times[-1]))
+        )
 
     @property
     def knots_s(self) -> FloatArray:

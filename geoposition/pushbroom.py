@@ -80,9 +80,7 @@ class PushbroomModel:
         origin, direction = np.empty((len(points), 3)), np.empty((len(points), 3))
         flags: FlagArray = np.empty(len(points), dtype=np.uint8)
         kernels.rays(self._table, points, heights, step, origin, direction, flags)
-        return Rays(
-            origin.reshape(*shape, 3), direction.reshape(*shape, 3), flags.reshape(shape)
-        )
+        return Rays(origin.reshape(*shape, 3), direction.reshape(*shape, 3), flags.reshape(shape))
 
 
 def _flat(
@@ -144,7 +142,9 @@ def _compile(model: PushbroomModel) -> kernels.ModelTable:
     return _with_start(bare, model.height_range_m)
 
 
-def _with_start(table: kernels.ModelTable, height_range_m: tuple[float, float]) -> kernels.ModelTable:
+def _with_start(
+    table: kernels.ModelTable, height_range_m: tuple[float, float]
+) -> kernels.ModelTable:
     """Fit line and sample as cubics of local coordinates over the image and its margin."""
     margin = 0.02 * table.samples
     low = max(-0.02 * table.lines, table.first_line)
@@ -192,7 +192,7 @@ def _geodetic_of(point: FloatArray, geodetic: FloatArray, ecef: FloatArray) -> F
 
 
 def cubic_terms(p: FloatArray) -> FloatArray:
-    """The 20 monomials of a cubic in p (..., 3), in the order the kernel evaluates them."""
+    """Return the 20 monomials of a cubic in p (..., 3), in the order the kernel evaluates them."""
     e, n, u = p[..., 0], p[..., 1], p[..., 2]
     one = np.ones_like(e)
     terms = [one, e, n, u, e * e, n * n, u * u, e * n, e * u, n * u]

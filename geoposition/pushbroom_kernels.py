@@ -138,7 +138,12 @@ def _fill_tangents(m: ModelTable, w: FloatArray, n: int) -> None:
     The end segments continue beyond the ends.
     """
     knots, c, bins = m.ccd_knots, m.ccd_coefficients, m.ccd_bins
-    start, bin_start, origin, scale = m.ccd_start, m.ccd_bin_start, m.ccd_bin_origin, m.ccd_bin_scale
+    start, bin_start, origin, scale = (
+        m.ccd_start,
+        m.ccd_bin_start,
+        m.ccd_bin_origin,
+        m.ccd_bin_scale,
+    )
     for i in range(n):
         sample = w[_SAMPLE * LANES + i]
         ccd = int(w[_CCD * LANES + i])
@@ -376,9 +381,7 @@ def _pixel_flag(
     """Flag of an image point: within the image, its margin, or beyond."""
     if not (math.isfinite(line) and math.isfinite(sample)):
         return _BAD_INPUT
-    if not (
-        first_line <= line <= last_line and -margin_px <= sample <= samples - 1 + margin_px
-    ):
+    if not (first_line <= line <= last_line and -margin_px <= sample <= samples - 1 + margin_px):
         return _OUTSIDE_MODEL
     if -0.5 <= line <= lines - 0.5 and -0.5 <= sample <= samples - 0.5:
         return _OK
@@ -493,7 +496,7 @@ def rays(
 @njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
 def _cubic(c: FloatArray, j: int, e: float, n: float, u: float) -> float:
     """Cubic in e, n, u with the 20 terms in the order of `pushbroom.cubic_terms`."""
-    return (
+    value: float = (
         c[0, j]
         + e * (c[1, j] + e * (c[4, j] + e * c[10, j] + n * c[11, j] + u * c[12, j]))
         + n * (c[2, j] + n * (c[5, j] + n * c[13, j] + e * c[14, j] + u * c[15, j]))
@@ -502,6 +505,7 @@ def _cubic(c: FloatArray, j: int, e: float, n: float, u: float) -> float:
         + e * u * c[8, j]
         + n * u * c[9, j]
     )
+    return value
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
@@ -524,9 +528,7 @@ def _begin(
     good = 0
     for i in range(first, first + n):
         lon, lat, h = geodetic[i, 0], geodetic[i, 1], geodetic[i, 2]
-        if not (
-            math.isfinite(lon) and abs(lat) <= 0.5 * math.pi + 1e-12 and -1e5 < h < highest
-        ):
+        if not (math.isfinite(lon) and abs(lat) <= 0.5 * math.pi + 1e-12 and -1e5 < h < highest):
             flags[i] = _BAD_INPUT
             image_px[i, 0] = np.nan
             image_px[i, 1] = np.nan

@@ -362,7 +362,9 @@ def bracket_directions(
             start = math.nan
         elif start < 0.0:
             start = 0.0
-        for t, row in ((start, k), (end, n + k)):
+        for part in range(2):
+            t = start if part == 0 else end
+            row = k + part * n
             out[row, 0] = (ox + t * dx) * (1.0 / WGS84_A_M)
             out[row, 1] = (oy + t * dy) * (1.0 / WGS84_A_M)
             out[row, 2] = (oz + t * dz) * (1.0 / (WGS84_A_M * (1.0 - WGS84_E2)))

@@ -41,6 +41,7 @@ class XmlNode:
             element = next((child for child in element if local_name(child) == tag), None)
             if element is None:
                 return None
+        assert element is not None
         return XmlNode(self.path, f"{self.place}/{tags}", element)
 
     def need(self, tags: str) -> XmlNode:
@@ -66,7 +67,7 @@ class XmlNode:
         return nodes
 
     def text(self, tags: str = "") -> str:
-        """Stripped text of the element (or of the descendant at `tags`); must not be empty."""
+        """Return the stripped text of the element (or of the descendant at `tags`), not empty."""
         node = self.need(tags) if tags else self
         text = (node.element.text or "").strip()
         if not text:

@@ -14,7 +14,8 @@ Normalised coordinates are never clipped. Heights are above the WGS 84 ellipsoid
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -115,6 +116,10 @@ class RpcModel:
         object.__setattr__(self, "_coefficients", packed)
         object.__setattr__(self, "_parameters", self._pack(start))
 
+    def __reduce__(self) -> tuple[Callable[..., RpcModel], tuple[object, ...]]:
+        # Built anew, because pickled arrays come back writable.
+        return type(self), tuple(getattr(self, f.name) for f in fields(self) if f.init)
+
     @property
     def _image_scale(self) -> FloatArray:
         return np.array([self.line_scale_px, self.samp_scale_px])
@@ -190,7 +195,7 @@ class RpcModel:
         image_px = np.empty((*shape, 2))
         flags: FlagArray = np.empty(shape, dtype=np.uint8)
         project_points(
-            np.ascontiguousarray(ground).reshape(-1),
+            _flat(ground),
             self._coefficients,
             self._parameters,
             image_px.reshape(-1),
@@ -208,15 +213,15 @@ class RpcModel:
         heights = np.asarray(height_m, dtype=np.float64)
         if heights.ndim == 0:
             shape = image.shape[:-1]
-            heights = heights.reshape(1)
+            heights = _flat(heights)
         else:
             shape = _broadcast_shape(image.shape[:-1], heights.shape)
             image = np.broadcast_to(image, (*shape, 2))
-            heights = np.ascontiguousarray(np.broadcast_to(heights, shape)).reshape(-1)
+            heights = _flat(np.broadcast_to(heights, shape))
         geodetic = np.empty((*shape, 3))
         flags: FlagArray = np.empty(shape, dtype=np.uint8)
         locate_points(
-            np.ascontiguousarray(image).reshape(-1),
+            _flat(image),
             heights,
             self._coefficients,
             self._parameters,
@@ -236,7 +241,7 @@ class RpcModel:
         ground = self.image_to_ground(image_px, height_m)
         origin, direction = np.empty_like(ground.geodetic), np.empty_like(ground.geodetic)
         sight_lines(
-            ground.geodetic.reshape(-1),
+            _flat(ground.geodetic),
             self._coefficients,
             self._parameters,
             RAY_ALTITUDE_M,
@@ -250,7 +255,7 @@ class RpcModel:
         ground = as_components(geodetic, 3, "geodetic")
         out = np.empty((*ground.shape[:-1], 2, 3))
         differentiate_points(
-            np.ascontiguousarray(ground).reshape(-1, 3),
+            _flat(ground).reshape(-1, 3),
             self._coefficients,
             self._parameters,
             out.reshape(-1, 2, 3),
@@ -298,6 +303,13 @@ class RpcModel:
     def cropped(self, first_line: int, first_sample: int, shape: tuple[int, int]) -> RpcModel:
         """Return the model of the window of `shape` whose first pixel is (first_line, ...)."""
         return self.shifted(-first_line, -first_sample).with_shape(shape)
+
+
+def _flat(array: FloatArray) -> FloatArray:
+    """Read-only view (or copy) in one dimension: one type, so kernels are compiled once."""
+    flat = np.ascontiguousarray(array).reshape(-1)
+    flat.setflags(write=False)
+    return flat
 
 
 def _broadcast_shape(a: tuple[int, ...], b: tuple[int, ...]) -> tuple[int, ...]:

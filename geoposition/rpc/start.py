@@ -124,8 +124,9 @@ def _find_start(
         fit[0] = centre[0]
     reached = np.concatenate([ground[converged], centre, [[-1.0, -1.0], [1.0, 1.0]]])
     low, high = reached.min(axis=0), reached.max(axis=0)
-    # The domain is twice as wide as what the image and the normalisation cover.
-    middle, half = (low + high) / 2.0, high - low
+    # Three times as wide as what the image and the normalisation cover: the highest ground is
+    # well inside also for the most oblique views, a repetition of the polynomials is not.
+    middle, half = (low + high) / 2.0, 1.5 * (high - low)
     return StartTable(
         lon=fit[:, 0],
         lat=fit[:, 1],

@@ -9,7 +9,6 @@ import os
 import sys
 from importlib import import_module
 
-import click
 import typer
 
 import geoposition
@@ -24,8 +23,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-rpc_app = typer.Typer(help="Rational polynomial coefficients: compare them with a model.",
-                      no_args_is_help=True)
+rpc_app = typer.Typer(
+    help="Rational polynomial coefficients: compare them with a model.", no_args_is_help=True
+)
 app.add_typer(rpc_app, name="rpc")
 
 _COMMANDS = ("info", "locate", "project", "rpc_compare")
@@ -63,14 +63,9 @@ def run(arguments: list[str] | None = None) -> int:
         command = typer.main.get_command(build())
         result = command.main(args=arguments, prog_name="geoposition", standalone_mode=False)
         return int(result) if isinstance(result, int) else 0
-    except click.exceptions.Exit as stop:
+    except typer.Exit as stop:
         return int(stop.exit_code)
-    except click.exceptions.NoArgsIsHelpError as error:
-        click.echo(error.ctx.get_help() if error.ctx else "", err=True)
-        return 2
-    except click.ClickException as error:
-        return _fail(error.format_message(), 2)
-    except click.Abort:
+    except (typer.Abort, KeyboardInterrupt):
         return _fail("interrupted", 130)
     except GeopositionError as error:
         _reraise_for_developers()
@@ -82,17 +77,32 @@ def run(arguments: list[str] | None = None) -> int:
     except MemoryError:
         return _fail("not enough memory for this input", 2)
     except Exception as error:  # the last door: a user never sees a traceback
-        _reraise_for_developers()
-        return _fail(
-            f"internal error, please report it with the command you ran: "
-            f"{type(error).__name__}: {error} (GEOPOSITION_TRACEBACK=1 shows where)",
-            1,
-        )
+        return _usage_error(error) if hasattr(error, "format_message") else _defect(error)
+
+
+def _usage_error(error: Exception) -> int:
+    """Say what the command line's parser refused; its exceptions know how to word it."""
+    context = getattr(error, "ctx", None)
+    if type(error).__name__ == "NoArgsIsHelpError":
+        print(context.get_help() if context else error, file=sys.stderr)
+        return 2
+    path = context.command_path.removeprefix("geoposition").strip() if context else ""
+    where = f"{path}: " if path else ""
+    return _fail(f"{where}{error.format_message()} (see --help)", 2)  # type: ignore[attr-defined]
+
+
+def _defect(error: Exception) -> int:
+    _reraise_for_developers()
+    return _fail(
+        f"internal error, please report it with the command you ran: "
+        f"{type(error).__name__}: {error} (GEOPOSITION_TRACEBACK=1 shows where)",
+        1,
+    )
 
 
 def _reraise_for_developers() -> None:
     if os.environ.get("GEOPOSITION_TRACEBACK"):
-        raise  # noqa: PLE0704  re-raises what the caller is handling
+        raise  # what the caller is handling
 
 
 def _fail(message: str, status: int) -> int:

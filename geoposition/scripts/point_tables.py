@@ -30,9 +30,10 @@ def geodetic_of(table: Mapping[str, Column]) -> FloatArray:
 
 def ground_columns(ground: GroundPoints) -> dict[str, Column]:
     """Columns lon, lat, height of located points, rounded far below a millimetre."""
+    degrees = np.round(ground.geodetic[:, :2] * (180.0 / np.pi), _DEGREE_DIGITS)
     return {
-        "lon": np.round(np.degrees(ground.geodetic[:, 0]), _DEGREE_DIGITS),
-        "lat": np.round(np.degrees(ground.geodetic[:, 1]), _DEGREE_DIGITS),
+        "lon": degrees[:, 0],
+        "lat": degrees[:, 1],
         "height": np.round(ground.geodetic[:, 2], _METRE_DIGITS),
     }
 

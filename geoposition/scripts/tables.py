@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -106,13 +106,20 @@ def write_table(path: Path, columns: Mapping[str, Column]) -> None:
         if path.suffix.lower() in PARQUET_SUFFIXES:
             pa_parquet.write_table(table, temporary)
         else:
-            options = pa_csv.WriteOptions(quoting_style="needed")
             with temporary.open("wb") as file:
                 file.write((",".join(table.column_names) + "\n").encode())
+                style = "needed" if _needs_quotes(columns) else "none"
                 pa_csv.write_csv(
-                    table, file, pa_csv.WriteOptions(include_header=False, quoting_style="needed")
+                    table, file, pa_csv.WriteOptions(include_header=False, quoting_style=style)
                 )
-            del options
+
+
+def _needs_quotes(columns: Mapping[str, Column]) -> bool:
+    """Tell whether some text holds what separates cells; Arrow would quote every text."""
+    texts = [values for values in columns.values() if values.dtype.kind == "U"]
+    return any(
+        np.any(np.strings.find(values, mark) >= 0) for values in texts for mark in ',"\r\n'
+    )
 
 
 def write_points(path: Path, columns: Mapping[str, Column]) -> None:
@@ -126,7 +133,7 @@ def write_points(path: Path, columns: Mapping[str, Column]) -> None:
 
     kept = np.isfinite(columns["lon"])
     xyz = np.stack([np.asarray(columns[name])[kept] for name in ("lon", "lat", "height")], axis=1)
-    table = _arrow({name: np.asarray(values)[kept] for name, values in columns.items()})
+    table = _arrow({name: values[kept] for name, values in columns.items()})
     geometry = pa.array(shapely.to_wkb(shapely.points(xyz)), pa.binary())
     table = table.append_column("geometry", geometry)
     with whole_file(path) as temporary:
@@ -147,7 +154,7 @@ def _arrow(columns: Mapping[str, Column]) -> pa.Table:
         if values.dtype.kind == "f":
             arrays[name] = pa.array(values, from_pandas=True)
         elif values.dtype.kind == "U":
-            arrays[name] = pa.array(values.astype(object), pa.string())
+            arrays[name] = pa.array(values.tolist(), pa.string())
         else:
             arrays[name] = pa.array(values)
     return pa.table(arrays)
@@ -178,6 +185,3 @@ def whole_file(path: Path) -> Iterator[Path]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
-
-
-Progress = Callable[[int, int], None]

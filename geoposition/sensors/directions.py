@@ -34,7 +34,7 @@ class Directions(Protocol):
         ...
 
     def with_parameters(self, values: dict[str, float]) -> Self:
-        """The same with some parameters changed."""
+        """Return the same with some parameters changed."""
         ...
 
     def tangents(self, sample: ArrayLike) -> FloatArray:
@@ -43,7 +43,7 @@ class Directions(Protocol):
 
 
 def _polynomial(coefficients: FloatArray, s: FloatArray) -> FloatArray:
-    return np.polynomial.polynomial.polyval(s, coefficients)
+    return np.asarray(np.polynomial.polynomial.polyval(s, coefficients), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +81,14 @@ class PolynomialDirections:
         return named | {f"y{i}": float(c) for i, c in enumerate(self.y_coefficients)}
 
     def with_parameters(self, values: dict[str, float]) -> Self:
-        """The same with some coefficients changed."""
+        """Return the same with some coefficients changed."""
         all_values = self.parameters | values
         if len(all_values) != len(self.parameters):
             raise ArgumentError(f"look angles: no parameter {set(values) - set(self.parameters)}")
         return replace(
             self,
-            x_coefficients=[all_values[f"x{i}"] for i in range(len(self.x_coefficients))],
-            y_coefficients=[all_values[f"y{i}"] for i in range(len(self.y_coefficients))],
+            x_coefficients=np.array([all_values[f"x{i}"] for i in range(len(self.x_coefficients))]),
+            y_coefficients=np.array([all_values[f"y{i}"] for i in range(len(self.y_coefficients))]),
         )
 
     def tangents(self, sample: ArrayLike) -> FloatArray:
@@ -134,7 +134,7 @@ class TableDirections:
         return {"dx": 0.0, "dy": 0.0}
 
     def with_parameters(self, values: dict[str, float]) -> Self:
-        """The same table, shifted by `dx`, `dy`."""
+        """Return the same table, shifted by `dx`, `dy`."""
         if set(values) - {"dx", "dy"}:
             raise ArgumentError(f"look-angle table: no parameter {set(values) - {'dx', 'dy'}}")
         shift = np.array([values.get("dx", 0.0), values.get("dy", 0.0)])
@@ -191,7 +191,7 @@ class CollinearDirections:
         return named | {f"k{i + 1}": k for i, k in enumerate(self.radial)}
 
     def with_parameters(self, values: dict[str, float]) -> Self:
-        """The same with some parameters changed."""
+        """Return the same with some parameters changed."""
         new = self.parameters | values
         if len(new) != len(self.parameters):
             raise ArgumentError(f"collinear camera: no parameter {set(values) - set(new)}")
@@ -248,7 +248,7 @@ class SplineDirections:
         return {"dx": 0.0, "dy": 0.0}
 
     def with_parameters(self, values: dict[str, float]) -> Self:
-        """The same curve, shifted by `dx`, `dy`."""
+        """Return the same curve, shifted by `dx`, `dy`."""
         shifted = TableDirections(self.samples, self.table).with_parameters(values)
         return type(self)(self.samples, shifted.table)
 

@@ -29,9 +29,10 @@ class Ccd:
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """Camera frame to body frame, and the perspective centre relative to the GPS antenna's
+    """How the camera sits in the body: its turn and its place.
 
-    (or whatever the ephemeris refers to), in the body frame, metres (P 9: B_x, B_y, B_z).
+    `lever_arm_body_m` is the perspective centre relative to the point the ephemeris gives, such
+    as the GPS antenna, in the body frame (P 9: B_x, B_y, B_z).
     """
 
     R_body_camera: Rotation = field(default_factory=Rotation.identity)

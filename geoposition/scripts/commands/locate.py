@@ -52,7 +52,7 @@ def command(
     if dem is not None:
         from geoposition.raster_terrain import RasterTerrain
 
-        terrain = RasterTerrain.open(dem, geoid)
+        terrain = RasterTerrain(dem, geoid)
     elif height is not None:
         terrain = ConstantTerrain(height)
     with progress_bar("locating", json) as progress:
@@ -61,9 +61,7 @@ def command(
         elif "height" in table:
             ground = opened.model.image_to_ground(image, table["height"])
         else:
-            raise ArgumentError(
-                f"{points}: a column height expected, or one of --height and --dem"
-            )
+            raise ArgumentError(f"{points}: a column height expected, or one of --height and --dem")
     flag = np.where(np.isfinite(image).all(axis=1), ground.flag, np.uint8(Flag.BAD_INPUT))
     point_tables.finish(
         output,

@@ -76,7 +76,9 @@ def _open_folder(folder: Path) -> Product:
                 names = ", ".join(str(source.path.relative_to(folder)) for source in found[:4])
                 more = ", ..." if len(found) > 4 else ""
                 raise ProductError(
-                    folder, "", f"one product expected, {len(found)} found ({names}{more}): name one"
+                    folder,
+                    "",
+                    f"one product expected, {len(found)} found ({names}{more}): name one",
                 )
     raise UnsupportedError(folder, "", "a folder with a product expected, none found in it")
 
