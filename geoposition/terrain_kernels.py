@@ -269,6 +269,7 @@ def _cross(
                 lon -= 2.0 * math.pi
             elif lon <= -math.pi:
                 lon += 2.0 * math.pi
+            lat = min(max(lat, -0.5 * math.pi), 0.5 * math.pi)
             return CROSSED, t, lon, lat, h0 + s * (h1 + s * h2)
         if status != PASSED:
             return status, nan, nan, nan, nan

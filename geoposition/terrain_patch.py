@@ -1,8 +1,8 @@
 """Build `Grid`s: a window of heights together with its proven way from the Earth.
 
-The table of a projected grid is refined until (row, column) interpolated between its nodes
-agrees with the projection itself at the middle of every table cell to `TABLE_TOLERANCE_PX`;
-of a smooth function, bilinear interpolation is worst there.
+The table of a projected grid is refined until its error is below `TABLE_TOLERANCE_PX`. The
+error of bilinear interpolation is at most the sum of those along u and along v, and these are
+measured against the projection itself at the middle of every cell's sides.
 """
 
 from __future__ import annotations
@@ -67,11 +67,13 @@ def _extremes(height_m: FloatArray) -> tuple[float, float]:
 
 
 def lon_lat_grid(height_m: FloatArray, from_grid: FloatArray) -> Grid:
-    """`Grid` of nodes at (lon, lat) = `from_grid` (2, 3) · (1, row, col), radians.
+    """Return the `Grid` of nodes at (lon, lat) = `from_grid` (2, 3) · (1, row, col), radians.
 
     The matrix may turn and shear; longitudes count without a seam, so a grid over the
-    antimeridian just goes on beyond ±pi.
+    antimeridian just goes on beyond ±pi. A row of nodes at a pole is repeated beyond it, lest
+    rounding puts a ray through the pole outside.
     """
+    height_m, from_grid = _padded_at_poles(height_m, from_grid)
     rows, cols = height_m.shape
     lon, lat = from_grid @ np.array([1.0, 0.5 * (rows - 1), 0.5 * (cols - 1)])
     middle = np.array([np.cos(lon), np.sin(lon), np.cos(lat), np.sin(lat), 0.0, lat])
@@ -98,8 +100,21 @@ def lon_lat_grid(height_m: FloatArray, from_grid: FloatArray) -> Grid:
     )
 
 
+def _padded_at_poles(height_m: FloatArray, from_grid: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if from_grid[1, 2] != 0.0:
+        return height_m, from_grid
+    first = from_grid[1, 0]
+    last = first + from_grid[1, 1] * (height_m.shape[0] - 1)
+    at_pole = [abs(abs(lat) - 0.5 * np.pi) < 1e-9 for lat in (first, last)]
+    if not any(at_pole):
+        return height_m, from_grid
+    shifted = from_grid.copy()
+    shifted[:, 0] -= at_pole[0] * from_grid[:, 1]
+    return np.pad(height_m, ((at_pole[0], at_pole[1]), (0, 0)), mode="edge"), shifted
+
+
 def table_grid(height_m: FloatArray, to_grid: PlaneMap, from_grid: PlaneMap) -> Grid:
-    """`Grid` of nodes on any map: `to_grid` (lon, lat) → (row, col), `from_grid` back, radians.
+    """Return the `Grid` of nodes on any map: `to_grid` (lon, lat) → (row, col), `from_grid` back, radians.
 
     Raises
     ------
@@ -139,23 +154,53 @@ def table_grid(height_m: FloatArray, to_grid: PlaneMap, from_grid: PlaneMap) -> 
 
 def _refined(axes: FloatArray, low: FloatArray, high: FloatArray, to_grid: PlaneMap) -> FloatArray:
     """Table of (row, col) (n_v, n_u, 2) that holds `TABLE_TOLERANCE_PX`."""
+    step = 1e-3 * (high - low)
+    middle = 0.5 * (low + high)
+    cross = middle + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+    at_cross = np.stack(to_grid(*from_plane(axes, cross[:, 0], cross[:, 1])), axis=-1)
+    slope = np.stack([at_cross[1] - at_cross[2], at_cross[3] - at_cross[4]]) / (2 * step[:, None])
+    extent = 0.5 * np.abs(slope * (high - low)[:, None]).sum(axis=0) + 10.0
 
-    def at(n_v: int, n_u: int, half: float) -> FloatArray:
-        u = low[0] + (high[0] - low[0]) * (np.arange(n_u - 2 * half) + half) / (n_u - 1)
-        v = low[1] + (high[1] - low[1]) * (np.arange(n_v - 2 * half) + half) / (n_v - 1)
-        grid_u, grid_v = np.meshgrid(u, v)
-        return np.stack(to_grid(*from_plane(axes, grid_u, grid_v)), axis=-1)
+    def at(u: FloatArray, v: FloatArray) -> FloatArray:
+        """Exact positions; NaN where the projection ends or jumps to the map's other side."""
+        uv = np.stack(np.meshgrid(u, v), axis=-1)
+        exact = np.stack(to_grid(*from_plane(axes, uv[..., 0], uv[..., 1])), axis=-1)
+        straight = at_cross[0] + (uv - middle) @ slope
+        with np.errstate(invalid="ignore"):
+            jumped = ~np.all(np.abs(exact - straight) < 0.7 * extent, axis=-1)
+        exact[jumped] = np.nan
+        return exact
 
     n_u = n_v = 9
     while n_u * n_v <= _MAX_TABLE_NODES:
-        table = at(n_v, n_u, 0.0)
-        middle = 0.25 * (table[:-1, :-1] + table[1:, :-1] + table[:-1, 1:] + table[1:, 1:])
-        error = np.abs(at(n_v, n_u, 0.5) - middle)
-        # nodes where the projection ends are not finite: rays there are outside
-        worst = float(np.max(error, initial=0.0, where=np.isfinite(error)))
-        if worst <= TABLE_TOLERANCE_PX:
-            table[~np.isfinite(table)] = np.nan
-            return np.ascontiguousarray(table)
-        grow = min(max(1.05 * np.sqrt(worst / TABLE_TOLERANCE_PX), 1.3), 16.0)
-        n_u, n_v = int(grow * (n_u - 1)) + 2, int(grow * (n_v - 1)) + 2
+        u, v = np.linspace(low[0], high[0], n_u), np.linspace(low[1], high[1], n_v)
+        table = at(u, v)
+        along_u = np.abs(at(u[:-1] + 0.5 * np.diff(u), v) - 0.5 * (table[:, 1:] + table[:, :-1]))
+        along_v = np.abs(at(u, v[:-1] + 0.5 * np.diff(v)) - 0.5 * (table[1:] + table[:-1]))
+        worst_u = float(np.max(along_u, initial=0.0, where=np.isfinite(along_u)))
+        worst_v = float(np.max(along_v, initial=0.0, where=np.isfinite(along_v)))
+        if worst_u + worst_v <= TABLE_TOLERANCE_PX:
+            return _continued(table)
+        # errors go with the square of the step; each direction may have half of the bound
+        n_u = int((n_u - 1) * _growth(worst_u)) + 2
+        n_v = int((n_v - 1) * _growth(worst_v)) + 2
     raise GeometryError("terrain: the map projection is not smooth within the window")
+
+
+def _growth(error_px: float) -> float:
+    return float(np.clip(1.05 * np.sqrt(2.0 * error_px / TABLE_TOLERANCE_PX), 1.0, 16.0))
+
+
+def _continued(table: FloatArray) -> FloatArray:
+    """`table` with its NaN, beyond the end of a projection, continued as a cubic.
+
+    No node of the grid is there; but rays near the border are expanded across it.
+    """
+    lost = ~np.all(np.isfinite(table), axis=-1)
+    if lost.any():
+        n_v, n_u, _ = table.shape
+        v, u = np.meshgrid(np.linspace(-1, 1, n_v), np.linspace(-1, 1, n_u), indexing="ij")
+        terms = np.stack([u**i * v**j for i in range(4) for j in range(4 - i)], axis=-1)
+        coefficients = np.linalg.lstsq(terms[~lost], table[~lost], rcond=None)[0]
+        table[lost] = terms[lost] @ coefficients
+    return np.ascontiguousarray(table)

@@ -38,6 +38,14 @@ BLOCK_BITS: Final = 3
 
 
 @njit(**SCALAR)
+def _snapped(part: float) -> float:
+    """Put a place that is a node but for rounding on it, so that holes beside do not count."""
+    if part < 1e-8:
+        return 0.0
+    return 1.0 if part > 1.0 - 1e-8 else part
+
+
+@njit(**SCALAR)
 def surface(height_m: FloatArray, row: float, col: float) -> float:
     """Bilinear height between nodes; NaN outside, and where a node that has weight is a hole."""
     rows, cols = height_m.shape
@@ -45,8 +53,8 @@ def surface(height_m: FloatArray, row: float, col: float) -> float:
         return math.nan
     i = min(int(row), rows - 2)
     j = min(int(col), cols - 2)
-    y = row - i
-    x = col - j
+    y = _snapped(row - i)
+    x = _snapped(col - j)
     z = 0.0
     if y < 1.0 and x < 1.0:
         z += (1.0 - y) * (1.0 - x) * height_m[i, j]

@@ -37,7 +37,7 @@ def orbit(times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return position, velocity - np.cross([0.0, 0.0, EARTH_RATE_RAD_S], position)
 
 
-def quaternions(times_s: np.ndarray, jitter_rad: float = 2e-7) -> np.ndarray:
+def quaternions(times_s: np.ndarray, jitter_rad: float = 1e-9) -> np.ndarray:
     """Body to Earth-fixed: z down, x ahead, pitching, with jitter."""
     position, velocity = orbit(times_s)
     z = -position / np.linalg.norm(position, axis=1, keepdims=True)

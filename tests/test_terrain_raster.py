@@ -271,10 +271,10 @@ def test_masks_and_alpha_make_holes(tmp_path: Path) -> None:
     path = tmp_path / "alpha.tif"
     with rasterio.open(
         path, "w", driver="GTiff", height=50, width=50, count=2, dtype="uint16",
-        crs="EPSG:4326", transform=transform,
+        crs="EPSG:4326", transform=transform, alpha="yes",
     ) as raster:  # fmt: skip
         raster.write(bands.astype("uint16"))
-        raster.colorinterp = [ColorInterp.gray, ColorInterp.alpha]
+        assert raster.colorinterp[1] == ColorInterp.alpha
     terrain = RasterTerrain(path)
     found = terrain.height_at(np.radians([[5.01, 44.98], [5.04, 44.98]]))
     np.testing.assert_array_equal(found.flag, [Flag.OK, Flag.NODATA])

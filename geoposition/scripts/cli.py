@@ -24,11 +24,11 @@ app = typer.Typer(
 )
 
 rpc_app = typer.Typer(
-    help="Rational polynomial coefficients: compare them with a model.", no_args_is_help=True
+    help="Rational polynomial coefficients: compare, convert.", no_args_is_help=True
 )
 app.add_typer(rpc_app, name="rpc")
 
-_COMMANDS = ("info", "locate", "project", "rpc_compare")
+_COMMANDS = ("info", "locate", "project", "export", "rpc_compare", "rpc_convert")
 
 
 @app.callback(invoke_without_command=True)

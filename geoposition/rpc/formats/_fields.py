@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Context, Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,9 @@ COEFFICIENT_FIELDS = {
     "SAMP_DEN_COEFF": "samp_den",
 }
 """RPC00B names of the four polynomials and the model's fields."""
+
+_EXACT = Context(prec=400)
+"""Enough digits that a double's decimal text plus or minus one is exact, down to 1e-380."""
 
 ERROR_FIELDS = {"ERR_BIAS": "err_bias_m", "ERR_RAND": "err_rand_m"}
 
@@ -84,14 +87,14 @@ def from_one_based(path: Path, place: str, text: str) -> float:
     """0-based value of a 1-based one; in decimal, so that writing it again gives `text`."""
     value = number(path, place, text)
     try:
-        return float(Decimal(text.split()[0]) - 1)
+        return float(_EXACT.subtract(Decimal(text.split()[0]), Decimal(1)))
     except InvalidOperation:
         return value - 1.0
 
 
 def to_one_based(value: float) -> str:
     """1-based text of a 0-based value, which `from_one_based` reads back exactly."""
-    return str(Decimal(repr(value)) + 1)
+    return str(_EXACT.add(Decimal(repr(value)), Decimal(1)))
 
 
 def build(path: Path, place: Callable[[str], str], fields: dict[str, Any]) -> RpcModel:
