@@ -24,8 +24,10 @@ SCALAR: Final[dict[str, Any]] = {
     "forceinline": True,
     "_nrt": False,
 }
-"""How scalar kernels are compiled: inlined, since a grid's many fields are dear to pass on, and
+"""How small scalar kernels are compiled: inlined, since a grid's many fields are dear to pass on, and
 without the runtime's reference counts, since they allocate nothing. Each halves the time."""
+LONG: Final[dict[str, Any]] = {**SCALAR, "forceinline": False}
+"""How those are compiled that are too long to be inlined."""
 
 LON_LAT: Final = 0
 TABLE: Final = 1

@@ -42,6 +42,8 @@ _WALK_M3: Final = 1e-3
 _EXACT_M3: Final = 1e-6
 """The same for a result right to about 1 µm."""
 _BACK_M: Final = 2.0
+_SPAN_M: Final = 1000.0
+_POLE_M: Final = 0.01
 _MAX_SEGMENTS: Final = 20000
 _SHELL_SLACK_M: Final = 1.0
 """More than a grown ellipsoid differs from the surface of the same height."""
@@ -87,8 +89,10 @@ def _expand(
     """
     x, y, z = ox + centre_m * dx, oy + centre_m * dy, oz + centre_m * dz
     cos_lat, sin_lat, p, h = foot_point(x, y, z)
-    inv_p = 1.0 / p if p > 1e-6 else 1e6
-    cos_lon, sin_lon = (x * inv_p, y * inv_p) if p > 1e-6 else (1.0, 0.0)
+    # at a pole the longitude stands still instead of spinning
+    spins = p > _POLE_M
+    inv_p = 1.0 / p if spins else 1.0 / _POLE_M
+    cos_lon, sin_lon = (x * inv_p, y * inv_p) if spins else (1.0, 0.0)
     p_rate = cos_lon * dx + sin_lon * dy
     e = cos_lon * dy - sin_lon * dx
     n = cos_lat * dz - sin_lat * p_rate
@@ -98,7 +102,7 @@ def _expand(
     meridian = WGS84_A_M * (1.0 - WGS84_E2) * w2 * w
     inv_m = 1.0 / (meridian + h)
     lat1 = n * inv_m
-    lon1 = e * inv_p
+    lon1 = e * inv_p if spins else 0.0
     h2 = 0.5 * (lat1 * n + e * e * cos_lat * inv_p)
     if grid.kind == LON_LAT:
         m_rate = 3.0 * meridian * WGS84_E2 * w2 * sin_lat * cos_lat * lat1
@@ -116,31 +120,21 @@ def _expand(
             h,
             u,
             h2,
-            p * p,
+            max(p * p, _POLE_M * _POLE_M),
         )
-    # any other grid: through three points; they stay near because the grid may bend
-    scale2 = WGS84_A_M * WGS84_A_M
-    span = 1000.0
+    # any other grid: through this point and one on each side, near because the grid may bend
     row, col = grid_position(grid, x, y, p, cos_lat, sin_lat)
-    x, y, z = x - span * dx, y - span * dy, z - span * dz
-    cos_lat, sin_lat, p, _ = foot_point(x, y, z)
-    row_a, col_a = grid_position(grid, x, y, p, cos_lat, sin_lat)
-    x, y, z = x + 2.0 * span * dx, y + 2.0 * span * dy, z + 2.0 * span * dz
-    cos_lat, sin_lat, p, _ = foot_point(x, y, z)
-    row_b, col_b = grid_position(grid, x, y, p, cos_lat, sin_lat)
-    k1, k2 = 0.5 / span, 0.5 / (span * span)
-    return (
-        row,
-        (row_b - row_a) * k1,
-        (row_a + row_b - 2.0 * row) * k2,
-        col,
-        (col_b - col_a) * k1,
-        (col_a + col_b - 2.0 * col) * k2,
-        h,
-        u,
-        h2,
-        scale2,
-    )
+    row1 = row2 = col1 = col2 = 0.0
+    for side in (-1.0, 1.0):
+        span = side * _SPAN_M
+        x_side, y_side = x + span * dx, y + span * dy
+        cos_lat, sin_lat, p, _ = foot_point(x_side, y_side, z + span * dz)
+        row_side, col_side = grid_position(grid, x_side, y_side, p, cos_lat, sin_lat)
+        row1 += (row_side - row) / (2.0 * span)
+        row2 += (row_side - row) / (2.0 * span * span)
+        col1 += (col_side - col) / (2.0 * span)
+        col2 += (col_side - col) / (2.0 * span * span)
+    return row, row1, row2, col, col1, col2, h, u, h2, WGS84_A_M * WGS84_A_M
 
 
 @njit(**SCALAR)
@@ -195,38 +189,36 @@ def _cross(
     if math.isnan(centre):
         centre = -(ox * dx + oy * dy + oz * dz)
     centre = max(centre, 0.0)
-    r0, r1, r2, c0, c1, c2, h0, h1, h2, scale2 = _expand(grid, ox, oy, oz, dx, dy, dz, centre)
-    # the way from top to bottom, by the expansion where it reaches that far
-    disc_top = h1 * h1 - 4.0 * h2 * (h0 - top_m)
-    disc_bottom = h1 * h1 - 4.0 * h2 * (h0 - bottom_m)
-    one_segment = False
-    start, end, reach = centre, centre, 0.0
-    if h1 < 0.0 and disc_top > 0.0 and disc_bottom > 0.0:
-        up = 2.0 * (h0 - top_m) / (-h1 + math.sqrt(disc_top)) + 0.01 / h1
-        down = 2.0 * (h0 - bottom_m) / (-h1 + math.sqrt(disc_bottom)) - 0.01 / h1
-        limit = _WALK_M3 * scale2
-        if centre + up >= 0.0 and -up * up * up < limit and down * down * down < limit:
-            one_segment = True
-            start, end, reach = centre + up, centre + down, down
-    if not one_segment:
-        start, leave = shell_ranges(ox, oy, oz, dx, dy, dz, top_m + _SHELL_SLACK_M)
-        if math.isnan(start) or leave < 0.0:
-            return MISSED, nan, nan, nan, nan
-        start = max(start, 0.0)
-        end, _ = shell_ranges(ox, oy, oz, dx, dy, dz, bottom_m - _SHELL_SLACK_M)
-        if math.isnan(end):
-            end = leave
-        if end < start:
-            return MISSED, nan, nan, nan, nan
-        centre = start
+    start, end = centre, centre
     over = AT_START
     for segment in range(_MAX_SEGMENTS):
-        if segment > 0 or not one_segment:
-            r0, r1, r2, c0, c1, c2, h0, h1, h2, scale2 = _expand(
-                grid, ox, oy, oz, dx, dy, dz, centre
-            )
+        r0, r1, r2, c0, c1, c2, h0, h1, h2, scale2 = _expand(grid, ox, oy, oz, dx, dy, dz, centre)
+        limit = _WALK_M3 * scale2
+        reach = -1.0
+        if segment == 0:
+            # the way from top to bottom, by the expansion where it reaches that far
+            disc_top = h1 * h1 - 4.0 * h2 * (h0 - top_m)
+            disc_bottom = h1 * h1 - 4.0 * h2 * (h0 - bottom_m)
+            if h1 < 0.0 and disc_top > 0.0 and disc_bottom > 0.0:
+                up = 2.0 * (h0 - top_m) / (-h1 + math.sqrt(disc_top)) + 0.01 / h1
+                down = 2.0 * (h0 - bottom_m) / (-h1 + math.sqrt(disc_bottom)) - 0.01 / h1
+                if centre + up >= 0.0 and -up * up * up < limit and down * down * down < limit:
+                    start, end, reach = centre + up, centre + down, down
+            if reach < 0.0:
+                start, leave = shell_ranges(ox, oy, oz, dx, dy, dz, top_m + _SHELL_SLACK_M)
+                if math.isnan(start) or leave < 0.0:
+                    return MISSED, nan, nan, nan, nan
+                start = max(start, 0.0)
+                end, _ = shell_ranges(ox, oy, oz, dx, dy, dz, bottom_m - _SHELL_SLACK_M)
+                if math.isnan(end):
+                    end = leave
+                if end < start:
+                    return MISSED, nan, nan, nan, nan
+                centre = start
+                continue
+        else:
             # shorter than allowed, since near a pole the allowance shrinks on the way
-            reach = min(end - centre, max(0.7 * (_WALK_M3 * scale2) ** (1.0 / 3.0), 0.01))
+            reach = min(end - centre, max(0.7 * limit ** (1.0 / 3.0), 0.01))
         if math.isnan(r0 + c0):
             return OUTSIDE, nan, nan, nan, nan
         status, s, over = walk(

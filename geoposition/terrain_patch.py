@@ -114,7 +114,9 @@ def _padded_at_poles(height_m: FloatArray, from_grid: FloatArray) -> tuple[Float
 
 
 def table_grid(height_m: FloatArray, to_grid: PlaneMap, from_grid: PlaneMap) -> Grid:
-    """Return the `Grid` of nodes on any map: `to_grid` (lon, lat) → (row, col), `from_grid` back, radians.
+    """Return the `Grid` of nodes on any map.
+
+    `to_grid` takes (lon, lat) in radians to (row, col), `from_grid` takes them back.
 
     Raises
     ------

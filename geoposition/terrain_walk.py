@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit, prange
 
 from geoposition.arrays import FloatArray, IntArray
-from geoposition.terrain_grid import SCALAR
+from geoposition.terrain_grid import LONG, SCALAR
 
 CROSSED: Final = 0
 PASSED: Final = 1
@@ -110,7 +110,7 @@ def _settle(
     return abs(f) < 1e-4, s
 
 
-@njit(**SCALAR)
+@njit(**LONG)
 def walk(
     height_m: FloatArray,
     maxima_m: FloatArray,

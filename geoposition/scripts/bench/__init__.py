@@ -1,1 +1,1 @@
-"""Benchmarks beside peers, side by side in one run."""
+"""Benchmarks beside peers: `python -m geoposition.scripts.bench`."""

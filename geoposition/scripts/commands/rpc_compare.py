@@ -28,6 +28,8 @@ def command(
 
     Example: geoposition rpc compare DIM_PHR1A.XML
     """
+    import numpy as np
+
     from geoposition.errors import ProductError
     from geoposition.rpc.compare import compare
     from geoposition.scripts.results import print_facts, print_json
@@ -42,7 +44,8 @@ def command(
         raise ProductError(product, "", "the product is an RPC itself: name the OTHER model")
     else:
         model = reference.vendor_rpc
-    found = compare(reference.model, model, heights_m=heights, grid=grid)
+    levels = None if heights is None else np.linspace(*heights, grid[2])
+    found = compare(reference.model, model, heights_m=levels, grid=grid)
     result = found.as_dict() | {"product": str(product), "other": str(other or "vendor RPC")}
     if json:
         print_json(result)

@@ -55,8 +55,8 @@ _PARAMETERS = 16
 _REAL = 2
 """CSM's parameter type of estimated quantities."""
 
-_CHECK_LINES = 257
-_CHECK_SAMPLES = 33
+_CHECK_LINES = 1025
+_CHECK_SAMPLES = 17
 
 
 @dataclass(frozen=True, slots=True)
