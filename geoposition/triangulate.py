@@ -278,9 +278,11 @@ def _rays(scene: _Scene, part: _Part, height_m: FloatArray) -> Rays:
     m = len(part.product)
     out = Rays(np.empty((m, 3)), np.empty((m, 3)), np.empty(m, dtype=np.uint8))
     height = height_m[part.point]
-    for k in np.unique(part.product):
+    for k in range(len(scene.models)):
         rows = np.flatnonzero(part.product == k)
-        rays = scene.models[int(k)].rays(part.image_px[rows], height[rows])
+        if len(rows) == 0:
+            continue
+        rays = scene.models[k].rays(part.image_px[rows], height[rows])
         out.origin_ecef_m[rows] = rays.origin_ecef_m
         out.direction_ecef[rows] = rays.direction_ecef
         out.flag[rows] = rays.flag
@@ -309,9 +311,11 @@ def _project(
     residual = np.full((len(part.product), 2), np.nan)
     usable = has_result(ray_flag) & np.isfinite(geodetic[:, 2])[part.point]
     ground = geodetic[part.point]
-    for k in np.unique(part.product):
+    for k in range(len(scene.models)):
         rows = np.flatnonzero((part.product == k) & usable)
-        seen = scene.models[int(k)].ground_to_image(ground[rows])
+        if len(rows) == 0:
+            continue
+        seen = scene.models[k].ground_to_image(ground[rows])
         residual[rows] = part.image_px[rows] - seen.image_px
         ray_flag[rows] = np.where(has_result(seen.flag), ray_flag[rows], seen.flag)
     return residual

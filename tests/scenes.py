@@ -159,7 +159,7 @@ class Pointing:
 
 def camera_directions(kind: CameraKind, samples: int, ifov_rad: float) -> Directions:
     """Directions of one CCD of `samples` pixels, `ifov_rad` each, centred on the axis."""
-    half = 0.5 * max(samples - 1, 1)
+    half = 0.5 * max(samples - 1, 200)
     reach = half * ifov_rad
     grid = np.linspace(-1, 1, 9)
     bow = 3 * ifov_rad
@@ -277,6 +277,7 @@ def build(
     height_range_m: tuple[float, float] = (-400.0, 9000.0),
     spare_s: float = 4.0,
     middle_s: float = 0.0,
+    period_s: float | None = None,
 ) -> Scene:
     """Scene of `shape` (lines, samples), about `gsd_m` a pixel at nadir.
 
@@ -286,7 +287,7 @@ def build(
     orbit = orbit or Orbit.over(0.2, 0.75)
     lines, samples = shape
     altitude = float(np.linalg.norm(orbit.earth_fixed(0.0)[0])) - WGS84_A_M
-    ifov, period = gsd_m / altitude, gsd_m / orbit.ground_speed_m_s
+    ifov, period = gsd_m / altitude, period_s or gsd_m / orbit.ground_speed_m_s
     if ccds is None:
         ccds = (Ccd(samples, camera_directions(camera, samples, ifov)),)
     line_camera = LineCamera(

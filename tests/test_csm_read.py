@@ -108,10 +108,10 @@ def isd() -> dict[str, Any]:
         "instrument_position": {
             "unit": "km",
             "positions": (position / 1000).tolist(),
-            "ephemeris_times": stamps,
+            "ephemeris_times": [*stamps],
         },
-        "instrument_pointing": {"quaternions": wxyz(to_sensor), "ephemeris_times": stamps},
-        "body_rotation": {"quaternions": wxyz(spin), "ephemeris_times": stamps},
+        "instrument_pointing": {"quaternions": wxyz(to_sensor), "ephemeris_times": [*stamps]},
+        "body_rotation": {"quaternions": wxyz(spin), "ephemeris_times": [*stamps]},
         "starting_detector_line": 0,
         "starting_detector_sample": 0,
     }
@@ -238,7 +238,7 @@ HOSTILE = [
     (_set("m_dtEphem", 0.0), "m_dtEphem: a positive time step"),
     (_set("m_dtQuat", -0.1), "m_dtQuat: a positive time step"),
     (_set("m_numPositions", 62), "m_numPositions: 63 expected"),
-    (_set("m_positions", [1.0] * 10), "m_positions: two rows or more"),
+    (_set("m_positions", [1.0] * 10), "m_positions: .*two rows or more"),
     (_entry("m_positions", 7, None), r"m_positions\[7\]: a number expected"),
     (_entry("m_positions", 7, [1.0]), r"m_positions\[7\]: a number expected"),
     (_entry("m_positions", 7, 1e999), "JSON expected"),

@@ -30,15 +30,58 @@ from geoposition.sensors.writers.csm import write_csm
 PIXEL = 2e-6
 
 # Keys that usgscsm's replaceModelState takes without a default.
-DEMANDED = """m_modelName m_imageIdentifier m_sensorName m_nLines m_nSamples m_platformFlag
-m_intTimeLines m_intTimeStartTimes m_intTimes m_startingEphemerisTime m_centerEphemerisTime
-m_detectorSampleSumming m_detectorLineSumming m_startingDetectorSample m_startingDetectorLine
-m_ikCode m_focalLength m_zDirection m_distortionType m_opticalDistCoeffs m_iTransS m_iTransL
-m_detectorSampleOrigin m_detectorLineOrigin m_majorAxis m_minorAxis m_platformIdentifier
-m_sensorIdentifier m_minElevation m_maxElevation m_dtEphem m_t0Ephem m_dtQuat m_t0Quat
-m_numPositions m_numQuaternions m_positions m_velocities m_quaternions m_currentParameterValue
-m_parameterType m_referencePointXyz m_sunPosition m_sunVelocity m_gsd m_flyingHeight m_halfSwath
-m_halfTime m_covariance m_logFile""".split()
+DEMANDED = [
+    "m_modelName",
+    "m_imageIdentifier",
+    "m_sensorName",
+    "m_nLines",
+    "m_nSamples",
+    "m_platformFlag",
+    "m_intTimeLines",
+    "m_intTimeStartTimes",
+    "m_intTimes",
+    "m_startingEphemerisTime",
+    "m_centerEphemerisTime",
+    "m_detectorSampleSumming",
+    "m_detectorLineSumming",
+    "m_startingDetectorSample",
+    "m_startingDetectorLine",
+    "m_ikCode",
+    "m_focalLength",
+    "m_zDirection",
+    "m_distortionType",
+    "m_opticalDistCoeffs",
+    "m_iTransS",
+    "m_iTransL",
+    "m_detectorSampleOrigin",
+    "m_detectorLineOrigin",
+    "m_majorAxis",
+    "m_minorAxis",
+    "m_platformIdentifier",
+    "m_sensorIdentifier",
+    "m_minElevation",
+    "m_maxElevation",
+    "m_dtEphem",
+    "m_t0Ephem",
+    "m_dtQuat",
+    "m_t0Quat",
+    "m_numPositions",
+    "m_numQuaternions",
+    "m_positions",
+    "m_velocities",
+    "m_quaternions",
+    "m_currentParameterValue",
+    "m_parameterType",
+    "m_referencePointXyz",
+    "m_sunPosition",
+    "m_sunVelocity",
+    "m_gsd",
+    "m_flyingHeight",
+    "m_halfSwath",
+    "m_halfTime",
+    "m_covariance",
+    "m_logFile",
+]
 
 
 class UsgsCsm:

@@ -1,7 +1,7 @@
 """CSM against asserted points of usgscsm and against a camera known from its own XML.
 
-*Provenance.* DOI-USGS/usgscsm, tests/LineScanCameraTests.cpp at 4ae52c5fa6b4f3f52794e16231c5f3a8fa5a138f
-(public domain): ground points on the synthetic bodies, tolerances as there.
+*Provenance.* DOI-USGS/usgscsm (public domain), tests/LineScanCameraTests.cpp at commit
+4ae52c5fa6b4f3f52794e16231c5f3a8fa5a138f: points on the synthetic bodies, tolerances as there.
 """
 
 from __future__ import annotations
@@ -74,7 +74,6 @@ def read(path: Path) -> Product:
     raise AssertionError(path)
 
 
-# Product, least angle of the aberration's change along the image, bound of the whole.
 PRODUCTS = [
     (f"{WV3}.xml", 1e-9),
     ("linescan/worldview2_pair/wv_mvp_1.xml", 1e-9),
@@ -112,9 +111,9 @@ def test_what_remains_is_the_aberrations_change_along_the_image(
     name = "WV01_20210201005130_10200100A1865800_21FEB01005130-P1BS-016263048010_01_P001.xml"
     model = read(real_data / "linescan/worldview1_tile" / name).model
     # Fast pitching: the velocity along the line of sight changes by some 20 m/s in the scene.
-    report = write_csm(model, tmp_path / "state.json")
-    assert 5e-10 < report.max_angle_rad < 1.2e-9
+    report = write_csm(model, tmp_path / "state.json", tolerance_rad=3e-10)
+    assert 8e-10 < report.max_angle_rad < 1.3e-9
     bare = PushbroomModel(
         model.camera, model.ephemeris, model.attitude, NO_CORRECTIONS, model.height_range_m
     )
-    assert write_csm(bare, tmp_path / "bare.json").max_angle_rad < 1e-11
+    assert write_csm(bare, tmp_path / "bare.json", tolerance_rad=3e-10).max_angle_rad < 3e-10

@@ -22,7 +22,7 @@ from geoposition.sensors.readers.csm_interpolation import CsmLagrangeCurve
 PADS = 4
 """Samples beyond either end, so that the image lies within full stencils of 8."""
 
-_FIT_SAMPLES = 13
+_FIT_SAMPLES = 9
 _FIT_LINES = 64
 _FIRST_CELLS = 16
 MAX_CELLS = 2**16
@@ -52,11 +52,15 @@ class Detector:
 
 @dataclass(frozen=True, slots=True)
 class Baked:
-    """Curves over seconds from the timing's epoch, and the detector."""
+    """Curves over seconds from the timing's epoch, and the detector.
+
+    `attitude_error_rad` is the largest interpolation error between the samples of `quaternion`.
+    """
 
     position: CsmLagrangeCurve
     quaternion: CsmLagrangeCurve
     detector: Detector
+    attitude_error_rad: float
 
 
 def bake(model: PushbroomModel, height_m: float, tolerance_rad: float, tolerance_m: float) -> Baked:
@@ -71,12 +75,10 @@ def bake(model: PushbroomModel, height_m: float, tolerance_rad: float, tolerance
         middle = np.full_like(lines, 0.5 * (model.shape[1] - 1))
         return model.rays(np.stack([lines, middle], axis=-1), height_m).origin_ecef_m
 
-    return Baked(
-        _refined(centres, span, tolerance_m),
-        # Half an angle on a quaternion's component.
-        _refined(R_ecef_camera.quaternions, span, 0.5 * tolerance_rad),
-        R_ecef_camera.detector,
-    )
+    position, _ = _refined(centres, span, tolerance_m)
+    # A quaternion's components hold half the angle.
+    quaternion, error = _refined(R_ecef_camera.quaternions, span, 0.5 * tolerance_rad)
+    return Baked(position, quaternion, R_ecef_camera.detector, 2.0 * error)
 
 
 def covered_lines(model: PushbroomModel, height_m: float) -> tuple[float, float]:
@@ -124,7 +126,7 @@ class _Attitude:
         rays = self._rays(lines)
         known = np.all(np.isfinite(rays), axis=(1, 2))
         turned = self._bare(lines[known])
-        for _ in range(3):
+        for _ in range(2):
             turned = _turned_onto(turned, self._directions, rays[known])
         quats = np.full((len(time), 4), np.nan)
         known_quats = turned.as_quat()
@@ -167,8 +169,10 @@ def _detector(samples: FloatArray, tangents: FloatArray, count: int) -> Detector
 
 def _refined(
     evaluate: Callable[[FloatArray], FloatArray], span_s: tuple[float, float], tolerance: float
-) -> CsmLagrangeCurve:
-    """Curve through `evaluate` on equal steps over `span_s`, halved until its middles agree.
+) -> tuple[CsmLagrangeCurve, float]:
+    """Curve through `evaluate` on equal steps over `span_s`, and what its middles miss.
+
+    Steps are halved until that is within `tolerance`, or they are `MAX_CELLS`.
 
     `evaluate` gives NaN where nothing is known, at the ends only.
     """
@@ -184,9 +188,10 @@ def _refined(
         if middles.shape[1] == 4:
             middles *= np.where(np.sum(middles * values[:-1], axis=1) < 0, -1.0, 1.0)[:, None]
         inside = slice(PADS, PADS + cells)
-        error = np.abs(curve.value(middle_s[inside]) - middles[inside])
-        if np.max(error) <= tolerance or 2 * cells > MAX_CELLS:
-            return curve
+        off = curve.value(middle_s[inside]) - middles[inside]
+        error = float(np.max(np.linalg.norm(off, axis=1)))
+        if error <= tolerance or 2 * cells > MAX_CELLS:
+            return curve, error
         half = PADS // 2
         merged = np.empty((2 * (cells + PADS) + 1, values.shape[1]))
         merged[0::2] = known[half : len(known) - half]
