@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -15,7 +18,6 @@ from rasterio.windows import Window as RasterWindow
 
 from geoposition.arrays import FloatArray
 from geoposition.errors import ArgumentError, MissingFileError, ProductError
-from geoposition.warnings_off import ignoring
 
 _CLIP_PERCENT: Final = 0.5
 _LEVELS: Final = 255.0
@@ -62,7 +64,7 @@ class ImageSource:
         if inside != window:
             raise ArgumentError(f"{self.path}: window {window} reaches outside the image")
         try:
-            with ignoring(NotGeoreferencedWarning), rasterio.open(self.path) as raster:
+            with _opened(self.path) as raster:
                 grey = raster.read(
                     self.band,
                     window=RasterWindow(
@@ -92,7 +94,7 @@ def open_image(
     if not path.is_file():
         raise MissingFileError(path, "", "an image expected, there is no such file")
     try:
-        with ignoring(NotGeoreferencedWarning), rasterio.open(path) as raster:
+        with _opened(path) as raster:
             count, shape, transform, crs = raster.count, raster.shape, raster.transform, raster.crs
     except RasterioError:
         raise ProductError(path, "", "an image expected, not readable as a raster") from None
@@ -116,3 +118,11 @@ def stretched(grey: FloatArray) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     scale = _LEVELS / (high - low) if high > low else 0.0
     level = np.where(valid, (grey - low) * scale, 0.5 * _LEVELS)
     return np.clip(np.rint(level), 0.0, _LEVELS).astype(np.uint8), mask
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[rasterio.io.DatasetReader]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path) as raster:
+            yield raster

@@ -26,7 +26,7 @@ SCALAR: Final[dict[str, Any]] = {
 }
 """How small scalar kernels are compiled: inlined, since a grid's many fields are dear to pass on, and
 without the runtime's reference counts, since they allocate nothing. Each halves the time."""
-LONG: Final[dict[str, Any]] = {**SCALAR, "forceinline": True}
+LONG: Final[dict[str, Any]] = {**SCALAR, "forceinline": False}
 """How those are compiled that are too long to be inlined."""
 
 LON_LAT: Final = 0

@@ -13,10 +13,15 @@ from typing import Final
 
 import numpy as np
 
-from geoposition.accuracy import PointStatistics, normalised_rms, point_statistics
+from geoposition.accuracy import (
+    PointStatistics,
+    enu_errors_m,
+    normalised_rms,
+    point_statistics,
+)
 from geoposition.arrays import FloatArray
 from geoposition.calib_fields.synthetic import SyntheticTerrain, synthetic_terrain
-from geoposition.ellipsoid import geodetic_to_ecef
+from geoposition.ellipsoid import enu_axes, geodetic_to_ecef
 from geoposition.flags import Flag, has_result
 from geoposition.locate import locate
 from geoposition.observations import TiePoints
@@ -185,6 +190,31 @@ def run_demo(options: DemoOptions, dem_path: Path, progress: Progress) -> DemoRe
     )
 
 
+def ground_sample_m(model: PushbroomModel) -> tuple[float, float]:
+    """Metres a pixel along rows' and columns' counting, at the middle height.
+
+    The median over the image: a step across the seam of two CCDs tells nothing of the size.
+    """
+    lines, samples = model.shape
+    part = np.linspace(0.1, 0.9, 9)
+    middle = np.stack(np.meshgrid(part * lines, part * samples), axis=-1).reshape(-1, 1, 2)
+    steps = middle + np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+    ground = model.image_to_ground(steps, 0.5 * sum(model.height_range_m))
+    ecef = geodetic_to_ecef(ground.geodetic)
+    row = np.linalg.norm(ecef[:, 0] - ecef[:, 1], axis=-1)
+    col = np.linalg.norm(ecef[:, 2] - ecef[:, 3], axis=-1)
+    return float(np.nanmedian(row)), float(np.nanmedian(col))
+
+
+def zenith_deg(model: PushbroomModel) -> float:
+    """Zenith angle of the satellite, seen from the ground at the image's centre."""
+    lines, samples = model.shape
+    centre, height = [0.5 * (lines - 1), 0.5 * (samples - 1)], 0.5 * sum(model.height_range_m)
+    up = enu_axes(model.image_to_ground(centre, height).geodetic)[:, 2]
+    cosine = -float(np.dot(model.rays(centre, height).direction_ecef, up))
+    return float(np.degrees(np.arccos(min(cosine, 1.0))))
+
+
 def _border(shape: tuple[int, int]) -> FloatArray:
     """Image points around the outermost pixels' edges, closed."""
     lines, samples = shape[0] - 0.5, shape[1] - 0.5
@@ -284,8 +314,6 @@ def _grid_points(
 def _intersection(models: Models, points: Measured, options: DemoOptions) -> Intersection:
     found = triangulate(list(models.values()), points.ties(), options.image_sigma_px)
     statistics = point_statistics(found.geodetic, points.geodetic)
-    from geoposition.accuracy import enu_errors_m
-
     errors = enu_errors_m(found.geodetic, points.geodetic)
     sigma = found.sigma_enu_m
     normalised = {
@@ -380,10 +408,10 @@ def _turned(model: PushbroomModel, axis: str) -> PushbroomModel:
 
 
 def _height_change_m(scene: SimulatedScene) -> float:
-    """R 1" sin(b) / sin(a + b): the law of sines where two rays at angles a, b to up meet.
+    """R 1" cos(b) / sin(a + b) for rays at angles a, b to up, the forward one of range R.
 
-    Turning the forward ray (range R, zenith angle a) moves its foot by R 1" / cos(a); the
-    backward ray (zenith angle b) is followed up until they meet again.
+    The forward ray turned by 1" passes the point at the distance R 1"; they meet again where the
+    backward ray has gone R 1" / sin(a + b), of which cos(b) is up.
     """
     centre = geodetic_to_ecef(scene.centre_geodetic)
     up = centre / np.linalg.norm(centre)
@@ -395,4 +423,4 @@ def _height_change_m(scene: SimulatedScene) -> float:
         zenith[name] = float(np.arccos(-np.dot(rays.direction_ecef, up)))
         reach[name] = float(np.linalg.norm(centre - rays.origin_ecef_m))
     a, b = zenith["forward"], zenith["backward"]
-    return reach["forward"] * ARCSEC_RAD * np.cos(b) / np.sin(a + b)
+    return float(reach["forward"] * ARCSEC_RAD * np.cos(b) / np.sin(a + b))

@@ -75,14 +75,14 @@ def footprints(
 ) -> bytes:
     """Map of shaded heights, image outlines (n, 2) in degrees, and points (m, 2)."""
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(6.6, 5.6), layout="constrained")
+        figure = Figure(figsize=(6.4, 5.2), layout="constrained")
         axes = figure.add_subplot()
         colours = _shaded(axes, terrain)
         for number, (name, outline) in enumerate(outlines.items()):
             axes.plot(*outline.T, color="white", lw=3.0, solid_joinstyle="round")
             axes.plot(*outline.T, color=COLOURS[number], lw=1.7, label=name)
         label = f"{points_label} ({len(points_deg)})"
-        axes.plot(*points_deg.T, ".", ms=3.2, color="white", mec="black", mew=0.3, label=label)
+        axes.plot(*points_deg.T, ".", ms=4.5, color="white", mec="black", mew=0.4, label=label)
         _degrees(axes, terrain)
         _scale_bar(axes, terrain, 10.0)
         bar = figure.colorbar(colours, ax=axes, shrink=0.8, pad=0.02)
@@ -101,7 +101,7 @@ def height_and_difference(
         row = figure.subplots(1, count, sharey=True)
         colours = _shaded(row[0], terrain)
         row[0].set_title("Heights found")
-        bar = figure.colorbar(colours, ax=row[0], location="bottom", pad=0.02, aspect=30)
+        bar = figure.colorbar(colours, ax=row[0], location="bottom", pad=0.02, aspect=25, shrink=0.85)
         bar.set_label("ellipsoidal height, m")
         for axes, (title, difference) in zip(row[1:], differences.items(), strict=True):
             values = difference.height_m
@@ -115,7 +115,7 @@ def height_and_difference(
             )
             axes.set_title(title)
             bar = figure.colorbar(
-                image, ax=axes, location="bottom", pad=0.02, aspect=30, extend="both"
+                image, ax=axes, location="bottom", pad=0.02, aspect=25, shrink=0.85, extend="both"
             )
             bar.set_label(unit_note)
         for k, axes in enumerate(row):
@@ -127,60 +127,50 @@ def height_and_difference(
 def vectors(
     panels: Sequence[VectorPanel],
     *,
-    key_length: float,
     unit: str,
     place_labels: tuple[str, str],
-    aspect: float | str = "equal",
     down: bool = False,
     colour_label: str = "",
-    common_key: bool = True,
 ) -> bytes:
-    """Vector fields beside each other, drawn to one scale (or, each with its own key, to several).
+    """Vector fields beside each other, each with its own scale: the key arrow at its top.
 
     The longest tenth of the vectors spans about a ninth of the panel. `down` puts y downwards,
-    as image rows go.
+    as image rows go. Colours have one scale for all panels.
     """
     with mpl.rc_context(_STYLE):
-        width = 3.2 * len(panels) + (0.5 if colour_label else 0.0)
-        figure = Figure(figsize=(width, 3.9), layout="constrained")
-        row = np.atleast_1d(figure.subplots(1, len(panels), sharey=True))
-        spans = [float(np.max(np.ptp(panel.place, axis=0))) for panel in panels]
-        sizes = [_long(panel.vector) for panel in panels]
+        width = 3.1 * len(panels) + (0.7 if colour_label else 0.0)
+        figure = Figure(figsize=(width, 3.6), layout="constrained")
+        row = np.atleast_1d(figure.subplots(1, len(panels)))
         limit = _signed_limit(panels)
-        drawn: Any = None
+        dots: Any = None
         for k, (axes, panel) in enumerate(zip(row, panels, strict=True)):
-            size = max(sizes) if common_key else sizes[k]
-            key = key_length if common_key else _round_length(size)
-            span = max(spans) if common_key else spans[k]
-            options: dict[str, Any] = {
-                "angles": "xy",
-                "scale_units": "xy",
-                "scale": 9.0 * size / span,
-                "width": 0.0035,
-            }
-            x, y, (u, v) = *panel.place.T, panel.vector.T
-            if panel.colour_value is None:
-                drawn = axes.quiver(x, y, u, v, color=COLOURS[k % len(COLOURS)], **options)
-            else:
-                norm = Normalize(-limit, limit)
-                drawn = axes.quiver(
-                    x, y, u, v, panel.colour_value, cmap=SIGNED_MAP, norm=norm,
-                    edgecolor="#444444", linewidth=0.25, **options,
+            size = _long(panel.vector)
+            key = _round_length(size)
+            coloured = panel.colour_value is not None
+            arrows = axes.quiver(
+                *panel.place.T, *panel.vector.T, angles="xy", scale_units="xy",
+                scale=9.0 * size / float(np.max(np.ptp(panel.place, axis=0))), width=0.0035,
+                color="#333333" if coloured else COLOURS[k % len(COLOURS)],
+            )  # fmt: skip
+            if coloured:
+                dots = axes.scatter(
+                    *panel.place.T, c=panel.colour_value, s=16.0, cmap=SIGNED_MAP,
+                    norm=Normalize(-limit, limit), edgecolors="#333333", linewidths=0.4, zorder=3,
                 )  # fmt: skip
             axes.quiverkey(
-                drawn, 0.80, 1.045, key, f"{key:g} {unit}", labelpos="E",
-                color="#222222", fontproperties={"size": 8},
+                arrows, 0.78, 1.05, key, f"{key:g} {unit}", labelpos="E", color="#222222",
+                fontproperties={"size": 8},
             )  # fmt: skip
             axes.set_title(panel.title)
-            axes.set_aspect(aspect)
+            axes.set_aspect("equal")
             axes.margins(0.06)
             axes.set_xlabel(place_labels[0])
             if k == 0:
                 axes.set_ylabel(place_labels[1])
-        if down:
-            row[0].invert_yaxis()
-        if colour_label:
-            bar = figure.colorbar(drawn, ax=list(row), shrink=0.8, pad=0.015, extend="both")
+            if down:
+                axes.invert_yaxis()
+        if dots is not None:
+            bar = figure.colorbar(dots, ax=list(row), shrink=0.8, pad=0.015, extend="both")
             bar.set_label(colour_label)
         return _png(figure)
 

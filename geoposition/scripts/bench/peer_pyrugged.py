@@ -22,6 +22,7 @@ from geoposition.scripts.bench.work import RigorousWork, every
 _VERSION = installed("pyrugged")
 NAME = f"pyrugged {_VERSION}" if _VERSION else "pyrugged"
 _CACHE_STEP_S = 0.02
+_MARGIN_PX = 100
 _NOTE = "Python on Orekit, 1 thread"
 
 
@@ -35,6 +36,13 @@ def start_orekit() -> None:
         init_orekit()
 
 
+def orekit_data() -> str:
+    """Folder of the Earth orientation and leap seconds that pyrugged ships."""
+    import pyrugged
+
+    return str(Path(pyrugged.__file__).parent / "data" / "orekit-data-master")
+
+
 def direct(work: RigorousWork, wanted: int) -> Contender | Missing:
     """Direct location at one height."""
     try:
@@ -43,9 +51,10 @@ def direct(work: RigorousWork, wanted: int) -> Contender | Missing:
         return Missing(NAME, str(error))
     rows = every(work.points, wanted)
     line, sample = _columns(work.image_px[rows])
+    height = np.full(len(line), work.height_m)
 
     def run() -> Any:
-        return location.direct_location(line, sample, [work.height_m])
+        return location.direct_location(line, sample, height)
 
     return Contender(NAME, rows, run, _ecef, _NOTE)
 
@@ -61,7 +70,7 @@ def inverse(work: RigorousWork, wanted: int) -> Contender | Missing:
     last = work.scene.model.shape[0] - 1
 
     def run() -> Any:
-        return location.inverse_location(0, last, lat, lon, height)
+        return location.inverse_location(-_MARGIN_PX, last + _MARGIN_PX, lat, lon, height)
 
     def result(raw: Any) -> FloatArray:
         return np.stack([np.array(column, dtype=np.float64) for column in raw], axis=-1)

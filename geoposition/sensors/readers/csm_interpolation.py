@@ -48,7 +48,8 @@ class CsmLagrangeCurve:
     @property
     def knots_s(self) -> FloatArray:
         """The sample times: there the stencil moves on."""
-        return self.start_s + self.step_s * np.arange(len(self.values))
+        times: FloatArray = self.start_s + self.step_s * np.arange(len(self.values), dtype=float)
+        return times
 
     def value(self, times_s: ArrayLike) -> FloatArray:
         """Values (..., k) at `times_s` (...)."""
