@@ -42,7 +42,7 @@ class AxisStatistics:
     nmad: float
 
     def as_dict(self) -> dict[str, float]:
-        """The numbers by name."""
+        """Return the numbers by name."""
         names = ("count", "mean", "std", "rmse", "minimum", "maximum", "median", "nmad")
         return {name: getattr(self, name) for name in names}
 
@@ -71,7 +71,7 @@ class PointStatistics:
         return {name: getattr(self, name) for name in ("e", "n", "u", "x", "y", "z")}
 
     def as_dict(self) -> dict[str, object]:
-        """The numbers by name; axes are dictionaries themselves."""
+        """Return the numbers by name; axes are dictionaries themselves."""
         axes: dict[str, object] = {name: axis.as_dict() for name, axis in self.axes.items()}
         names = ("horizontal_rmse_m", "rmse_3d_m", "ce90_m", "le90_m")
         return axes | {name: getattr(self, name) for name in names}
@@ -97,7 +97,7 @@ def axis_statistics(errors: ArrayLike) -> AxisStatistics:
 
 
 def enu_errors_m(geodetic: ArrayLike, true_geodetic: ArrayLike) -> FloatArray:
-    """East, north, up (..., 3) of `geodetic` (..., 3) less `true_geodetic`, axes at the true one."""
+    """East, north, up (..., 3) at `true_geodetic` (..., 3) of `geodetic` less it, metres."""
     true = as_components(true_geodetic, 3, "true points")
     difference = xyz_errors_m(geodetic, true)
     result: FloatArray = np.einsum("...ji,...j->...i", enu_axes(true), difference)
@@ -119,8 +119,7 @@ def point_statistics(geodetic: ArrayLike, true_geodetic: ArrayLike) -> PointStat
     true = as_components(true_geodetic, 3, "true points").reshape(-1, 3)
     if found.shape != true.shape:
         raise ArgumentError(
-            f"error statistics: one true point per point expected, "
-            f"got {len(true)} for {len(found)}"
+            f"error statistics: one true point per point expected, got {len(true)} for {len(found)}"
         )
     good = np.isfinite(found).all(axis=1) & np.isfinite(true).all(axis=1)
     enu = enu_errors_m(found[good], true[good])

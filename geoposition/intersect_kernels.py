@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from geoposition.arrays import FlagArray, FloatArray, IntArray
+from geoposition.constants import WGS84_A_M, WGS84_B_M, WGS84_E2
 from geoposition.ellipsoid import ecef_to_geodetic_scalar
 from geoposition.flags import Flag
 
@@ -25,6 +26,85 @@ _TOO_FEW_RAYS = int(Flag.TOO_FEW_RAYS)
 
 # NaN must keep its meaning, so only the reorderings of fast-math that respect it.
 _FAST = {"contract", "arcp", "nsz", "reassoc"}
+
+LANES = 128
+_TASK = 32 * LANES
+# Rows of the work array of a block of points.
+_X, _Y, _Z, _LON, _LAT, _HEIGHT, _FAR = 0, 1, 2, 3, 4, 5, 6
+_ROWS = 7
+
+_AXIS_RATIO = WGS84_B_M / WGS84_A_M
+_SECOND_E2_B = WGS84_E2 / (1.0 - WGS84_E2) * WGS84_B_M
+_NEAR = 0.1
+_LEAST_RADIUS_M = 6.2e6
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
+def _small_atan(t: float) -> float:
+    """Arc tangent for |t| ≤ `_NEAR`, to rounding: the first term left out is t^17 / 17."""
+    q = t * t
+    return t * (
+        1.0
+        - q
+        * (
+            1.0 / 3.0
+            - q
+            * (
+                1.0 / 5.0
+                - q * (1.0 / 7.0 - q * (1.0 / 9.0 - q * (1.0 / 11.0 - q * (1.0 / 13.0 - q / 15.0))))
+            )
+        )
+    )
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _write_geodetic(w: FloatArray, n: int, out: FloatArray) -> None:
+    """Geodetic coordinates of the points in rows x, y, z of `w` (rows, LANES), into `out` (n, 3).
+
+    As `ellipsoid.ecef_to_geodetic_scalar`, in loops without branches: the points of a block lie
+    near each other, so their angles come as small differences from one of them. Those that do
+    not are done one by one.
+    """
+    at = 0
+    while at < n - 1 and not w[_X, at] * w[_X, at] >= 0.0:
+        at += 1
+    lon0, lat0, _ = ecef_to_geodetic_scalar(w[_X, at], w[_Y, at], w[_Z, at])
+    sl, cl, sp, cp = math.sin(lon0), math.cos(lon0), math.sin(lat0), math.cos(lat0)
+    for i in range(n):
+        x, y, z = w[_X, i], w[_Y, i], w[_Z, i]
+        p2 = x * x + y * y
+        p = math.sqrt(p2)
+        r = math.sqrt(p2 + z * z)
+        s = _AXIS_RATIO * z * (r + _SECOND_E2_B)
+        c = p * r
+        scale = 1.0 / math.sqrt(s * s + c * c)
+        s *= scale
+        c *= scale
+        bend = WGS84_E2 * WGS84_A_M * s * c
+        f = p * s - _AXIS_RATIO * z * c - bend
+        per_slope = 1.0 / (p * c + _AXIS_RATIO * z * s - WGS84_E2 * WGS84_A_M * (c * c - s * s))
+        step = -f * per_slope
+        step -= 1.5 * bend * step * step * per_slope
+        s, c = s + step * c, c - step * s
+        scale = 1.0 / math.sqrt(s * s + c * c)
+        s *= scale
+        c *= scale
+        c_lat = _AXIS_RATIO * c
+        norm = 1.0 / math.sqrt(s * s + c_lat * c_lat)
+        t_lon = (y * cl - x * sl) / (x * cl + y * sl)
+        t_lat = (s * cp - c_lat * sp) / (c_lat * cp + s * sp)
+        w[_LON, i] = lon0 + _small_atan(t_lon)
+        w[_LAT, i] = lat0 + _small_atan(t_lat)
+        w[_HEIGHT, i] = ((p - WGS84_A_M * c) * c_lat + (z - WGS84_B_M * s) * s) * norm
+        # Behind the axis, or deep down, the differences mean nothing.
+        w[_FAR, i] = max(abs(t_lon), abs(t_lat)) + (x * cl + y * sl < 0.0) + (r < _LEAST_RADIUS_M)
+    for i in range(n):
+        lon, lat, height = w[_LON, i], w[_LAT, i], w[_HEIGHT, i]
+        if not w[_FAR, i] <= _NEAR or abs(lon) > math.pi:
+            lon, lat, height = ecef_to_geodetic_scalar(w[_X, i], w[_Y, i], w[_Z, i])
+        out[i, 0] = lon
+        out[i, 1] = lat
+        out[i, 2] = height
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=_FAST)
@@ -45,42 +125,44 @@ def intersect_two(
 
     The point lies `share_b` of the way from ray a to ray b; the miss is the rays' distance.
     """
-    for i in prange(len(flags)):
-        ax, ay, az = direction_a[i, 0], direction_a[i, 1], direction_a[i, 2]
-        bx, by, bz = direction_b[i, 0], direction_b[i, 1], direction_b[i, 2]
-        dx = origin_b[i, 0] - origin_a[i, 0]
-        dy = origin_b[i, 1] - origin_a[i, 1]
-        dz = origin_b[i, 2] - origin_a[i, 2]
-        # The common perpendicular; its length is the sine of the convergence angle.
-        nx = ay * bz - az * by
-        ny = az * bx - ax * bz
-        nz = ax * by - ay * bx
-        sine2 = nx * nx + ny * ny + nz * nz
-        per_sine2 = 1.0 / sine2
-        cx = dy * nz - dz * ny
-        cy = dz * nx - dx * nz
-        cz = dx * ny - dy * nx
-        range_a = -(cx * bx + cy * by + cz * bz) * per_sine2
-        range_b = -(cx * ax + cy * ay + cz * az) * per_sine2
-        gap = (dx * nx + dy * ny + dz * nz) * per_sine2
-        step = share_b * gap
-        x = origin_a[i, 0] + range_a * ax + step * nx
-        y = origin_a[i, 1] + range_a * ay + step * ny
-        z = origin_a[i, 2] + range_a * az + step * nz
-        flag = max(flag_a[i], flag_b[i])
-        if flag <= _OUTSIDE_IMAGE:
-            if not sine2 >= min_sine * min_sine:
-                flag = _WEAK_GEOMETRY
-            elif not (range_a > 0.0 and range_b > 0.0):
-                flag = _NO_INTERSECTION
-        if flag > _OUTSIDE_IMAGE:
-            x = np.nan
-        lon, lat, height = ecef_to_geodetic_scalar(x, y, z)
-        geodetic[i, 0] = lon
-        geodetic[i, 1] = lat
-        geodetic[i, 2] = height
-        miss_m[i] = abs(gap) * math.sqrt(sine2) + 0.0 * lon
-        flags[i] = flag
+    total = len(flags)
+    for task in prange((total + _TASK - 1) // _TASK):
+        w = np.empty((_ROWS, LANES))
+        for first in range(task * _TASK, min(total, (task + 1) * _TASK), LANES):
+            n = min(LANES, total - first)
+            for lane in range(n):
+                i = first + lane
+                ax, ay, az = direction_a[i, 0], direction_a[i, 1], direction_a[i, 2]
+                bx, by, bz = direction_b[i, 0], direction_b[i, 1], direction_b[i, 2]
+                dx = origin_b[i, 0] - origin_a[i, 0]
+                dy = origin_b[i, 1] - origin_a[i, 1]
+                dz = origin_b[i, 2] - origin_a[i, 2]
+                # The common perpendicular; its length is the sine of the convergence angle.
+                nx = ay * bz - az * by
+                ny = az * bx - ax * bz
+                nz = ax * by - ay * bx
+                sine2 = nx * nx + ny * ny + nz * nz
+                per_sine2 = 1.0 / sine2
+                cx = dy * nz - dz * ny
+                cy = dz * nx - dx * nz
+                cz = dx * ny - dy * nx
+                range_a = -(cx * bx + cy * by + cz * bz) * per_sine2
+                range_b = -(cx * ax + cy * ay + cz * az) * per_sine2
+                gap = (dx * nx + dy * ny + dz * nz) * per_sine2
+                step = share_b * gap
+                flag = max(flag_a[i], flag_b[i])
+                if flag <= _OUTSIDE_IMAGE:
+                    if not sine2 >= min_sine * min_sine:
+                        flag = _WEAK_GEOMETRY
+                    elif not (range_a > 0.0 and range_b > 0.0):
+                        flag = _NO_INTERSECTION
+                none = 0.0 if flag <= _OUTSIDE_IMAGE else np.nan
+                w[_X, lane] = origin_a[i, 0] + range_a * ax + step * nx + none
+                w[_Y, lane] = origin_a[i, 1] + range_a * ay + step * ny
+                w[_Z, lane] = origin_a[i, 2] + range_a * az + step * nz
+                miss_m[i] = abs(gap) * math.sqrt(sine2) + none
+                flags[i] = flag
+            _write_geodetic(w, n, geodetic[first : first + n])
 
 
 Symmetric = tuple[float, float, float, float, float, float]
@@ -118,7 +200,7 @@ def times(m: Symmetric, x: float, y: float, z: float) -> tuple[float, float, flo
 def write_enu(m: Symmetric, lon_rad: float, lat_rad: float, out: FloatArray) -> None:
     """Turn the covariance `m` from ECEF to east, north, up at a place, into `out` (3, 3)."""
     sl, cl, sp, cp = math.sin(lon_rad), math.cos(lon_rad), math.sin(lat_rad), math.cos(lat_rad)
-    ex, ey, ez = times(m, -sl, cl, 0.0)
+    ex, ey, _ = times(m, -sl, cl, 0.0)
     nx, ny, nz = times(m, -sp * cl, -sp * sl, cp)
     ux, uy, uz = times(m, cp * cl, cp * sl, sp)
     out[0, 0] = cl * ey - sl * ex

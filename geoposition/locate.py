@@ -26,7 +26,7 @@ from geoposition.terrain import ConstantTerrain, Terrain
 Progress: TypeAlias = Callable[[int, int], None]
 
 LATERAL_TOLERANCE_M: Final = 1e-4
-_MOST_PASSES: Final = 6
+_MOST_PASSES: Final = 12
 _SAMPLE: Final = 64
 _LEAST_RATE: Final = 1e-9
 """Metres aside per metre of height that any model is supposed to bend, against division by 0."""

@@ -18,12 +18,19 @@ def _distance2(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> int:
     for k in range(len(a)):
         d = np.int32(a[k]) - np.int32(b[k])
         total += d * d
-    return total
+    return int(total)
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
 def _allowed(
-    dl: float, ds: float, al: float, asam: float, length: float, reach: float, low: float, high: float
+    dl: float,
+    ds: float,
+    al: float,
+    asam: float,
+    length: float,
+    reach: float,
+    low: float,
+    high: float,
 ) -> bool:
     """Whether a point at (dl, ds) from a chord's low end lies in its band."""
     along = dl * al + ds * asam

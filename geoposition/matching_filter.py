@@ -1,6 +1,4 @@
-"""Which matches to believe: those beside the models' chords by one common amount, among
-neighbours of like parallax.
-"""
+"""Which matches to believe: beside the models' chords by one amount, among neighbours like them."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ _HALF_WIDTH_PX: Final = 2.0
 _FEWEST: Final = 8
 _NEIGHBOURS: Final = 9
 _PARALLAX_FLOOR_PX: Final = 4.0
-_ACROSS_FLOOR_PX: Final = 0.75
+_ACROSS_FLOOR_PX: Final = 0.3
 _SIGMAS: Final = 4.0
 
 

@@ -37,7 +37,7 @@ class Chords:
 
     def along_px(self, points_px: FloatArray) -> FloatArray:
         """How far along its chord each of `points_px` (n, 2) lies."""
-        return np.sum((points_px - self.low_px) * self.along, axis=-1)
+        return np.asarray(np.sum((points_px - self.low_px) * self.along, axis=-1))
 
     def across_px(self, points_px: FloatArray) -> FloatArray:
         """How far beside its chord each of `points_px` (n, 2) lies."""
@@ -57,9 +57,9 @@ class Guide:
     coefficients: FloatArray
     heights_m: tuple[float, float]
 
-    def at(self, first_px: FloatArray, height_m: float) -> FloatArray:
+    def at(self, first_px: FloatArray, height_m: FloatArray | float) -> FloatArray:
         """Points (n, 2) of the second image where `first_px` (n, 2) shows ground at `height_m`."""
-        place = np.column_stack([first_px, np.full(len(first_px), height_m)])
+        place = np.column_stack([first_px, np.broadcast_to(height_m, len(first_px))])
         return quadratic_terms((place - self.centre) / self.extent) @ self.coefficients
 
     def chords(self, first_px: FloatArray) -> Chords:
@@ -73,6 +73,21 @@ class Guide:
         along = step / length[:, None]
         length[still] = 0.0
         return Chords(low, along, length)
+
+    def affine(self, first_px: FloatArray, along_px: FloatArray) -> FloatArray:
+        """How the second image moves with the first, (n, 2, 2), on ground of constant height.
+
+        `along_px` (n,) along the chords of `first_px` (n, 2) tells the heights.
+        """
+        low, high = self.heights_m
+        length = np.maximum(self.chords(first_px).length_px, _LEAST_CHORD_PX)
+        height = low + np.clip(along_px / length, 0.0, 1.0) * (high - low)
+        out = np.empty((len(first_px), 2, 2))
+        for k in range(2):
+            step = np.eye(2)[k]
+            ahead, behind = self.at(first_px + step, height), self.at(first_px - step, height)
+            out[:, :, k] = 0.5 * (ahead - behind)
+        return out
 
 
 def guide(
@@ -95,15 +110,14 @@ def guide(
     centre = 0.5 * (place.min(axis=0) + place.max(axis=0))
     extent = np.maximum(0.5 * np.ptp(place, axis=0), 1.0)
     terms = quadratic_terms((place[good] - centre) / extent)
-    coefficients, _, rank, _ = np.linalg.lstsq(terms, seen.image_px[good], rcond=1e-10)
+    solution = np.linalg.lstsq(terms, seen.image_px[good], rcond=1e-10)
+    coefficients, rank = np.asarray(solution[0], dtype=np.float64), solution[2]
     if rank < TERMS:
         return None
     return Guide(centre, extent, coefficients, heights_m)
 
 
-def search_window(
-    chart: Guide, window: Window, margin_px: float, extent: Window
-) -> Window | None:
+def search_window(chart: Guide, window: Window, margin_px: float, extent: Window) -> Window | None:
     """Return the part of `extent` of the second image where the ground of `window` may appear."""
     line = np.linspace(window.line, window.line + window.lines - 1.0, _GRID)
     sample = np.linspace(window.sample, window.sample + window.samples - 1.0, _GRID)

@@ -187,7 +187,7 @@ class ControlPoints:
 
 
 def diagonal_covariance(sigma: ArrayLike, n: int, size: int) -> FloatArray:
-    """Covariances (n, size, size) of independent components with `sigma`: one, (size,) or (n, size)."""
+    """Covariances (n, size, size) of components with `sigma`: one, (size,) or (n, size)."""
     sigmas = np.broadcast_to(np.asarray(sigma, dtype=np.float64), (n, size))
     covariance = np.zeros((n, size, size))
     covariance[:, range(size), range(size)] = sigmas**2

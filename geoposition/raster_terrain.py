@@ -18,6 +18,7 @@ from geoposition.terrain import Crossings, TerrainHeights, bad_lon_lat, keep_fla
 from geoposition.terrain_grid import Grid
 from geoposition.terrain_kernels import BAD, UNSETTLED, bracket_directions, crossings, heights
 from geoposition.terrain_patch import normals
+from geoposition.terrain_series import STRAIGHT, Bend
 from geoposition.terrain_source import PLAUSIBLE_M, open_lattice
 from geoposition.terrain_store import BLOCK, WIDEST_RAD, HeightStore, blocks, vertical_facts
 from geoposition.terrain_walk import CROSSED, HOLE, MISSED, OUTSIDE, PASSED
@@ -91,8 +92,12 @@ class RasterTerrain:
             self._heights(flat, np.flatnonzero(~bad), height, flag, 0)
         return TerrainHeights(height.reshape(shape), flag.reshape(shape))
 
-    def first_crossing(self, rays: Rays, hint_m: ArrayLike | None = None) -> Crossings:
+    def first_crossing(
+        self, rays: Rays, hint_m: ArrayLike | None = None, bend: Bend = STRAIGHT
+    ) -> Crossings:
         """First point of each ray on the surface, from above, to a few micrometres.
+
+        With `bend` the point is on the bent ray, and its range that along the straight one.
 
         A hole is taken to be no higher than the block of 8 pixels around it, the ground beyond
         the raster's border no higher than the border: rays that clear these go on, others are
@@ -106,7 +111,7 @@ class RasterTerrain:
             hint = np.ascontiguousarray(
                 np.broadcast_to(np.asarray(hint_m, dtype=np.float64), shape)
             ).reshape(-1)
-        search = _Search(origin, direction, hint)
+        search = _Search(origin, direction, hint, bend)
         with self._store.lock:
             whole = self._store.whole()
             if whole is not None:
@@ -242,11 +247,11 @@ def _too_wide(box: Box | None) -> bool:
 class _Search:
     """Rays, and what became of each."""
 
-    __slots__ = ("direction", "geodetic", "hint", "origin", "range_m", "status")
+    __slots__ = ("bend", "direction", "geodetic", "hint", "origin", "range_m", "status")
 
-    def __init__(self, origin: FloatArray, direction: FloatArray, hint: FloatArray):
+    def __init__(self, origin: FloatArray, direction: FloatArray, hint: FloatArray, bend: Bend):
         n = len(origin)
-        self.origin, self.direction, self.hint = origin, direction, hint
+        self.origin, self.direction, self.hint, self.bend = origin, direction, hint, bend
         self.status: FlagArray = np.full(n, BAD, dtype=np.uint8)
         self.range_m = np.full(n, np.nan)
         self.geodetic = np.full((n, 3), np.nan)
@@ -256,6 +261,7 @@ class _Search:
         if index is None or len(index) == len(self.origin):
             crossings(
                 grid,
+                self.bend,
                 self.origin,
                 self.direction,
                 top_m,
@@ -269,8 +275,12 @@ class _Search:
         n = len(index)
         status, range_m, geodetic = np.empty(n, np.uint8), np.empty(n), np.empty((n, 3))
         hint = self.hint[index] if self.hint.size else self.hint
+        bend = self.bend
+        if len(bend.image_px):
+            bend = bend._replace(image_px=bend.image_px[index])
         crossings(
             grid,
+            bend,
             self.origin[index],
             self.direction[index],
             top_m,

@@ -17,7 +17,7 @@ from geoposition.errors import ArgumentError
 from geoposition.flags import Flag
 from geoposition.rays import Rays
 from geoposition.terrain_grid import FAST, foot_point
-from geoposition.terrain_kernels import shell_ranges
+from geoposition.terrain_series import shell_ranges
 
 
 @dataclass(frozen=True, slots=True)

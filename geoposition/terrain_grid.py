@@ -24,8 +24,9 @@ SCALAR: Final[dict[str, Any]] = {
     "forceinline": True,
     "_nrt": False,
 }
-"""How small scalar kernels are compiled: inlined, since a grid's many fields are dear to pass on, and
-without the runtime's reference counts, since they allocate nothing. Each halves the time."""
+"""How small scalar kernels are compiled: inlined, since a grid's many fields are dear to pass
+on, and without the runtime's reference counts, since they allocate nothing. Each halves the
+time. An edit here needs the caches of those that inline it removed."""
 LONG: Final[dict[str, Any]] = {**SCALAR, "forceinline": False}
 """How those are compiled that are too long to be inlined."""
 
@@ -139,23 +140,45 @@ def _angle(cos: float, sin: float, cos_0: float, sin_0: float) -> float:
 
 
 @njit(**SCALAR)
+def lon_lat_position(
+    grid: Grid,
+    cos_lon: float,
+    sin_lon: float,
+    cos_lat: float,
+    sin_lat: float,
+    more_lon: float,
+    more_lat: float,
+) -> tuple[float, float]:
+    """Return (row, col) of a place, and a little more, in a `LON_LAT` grid."""
+    lon = _angle(cos_lon, sin_lon, grid.middle[0], grid.middle[1]) + more_lon
+    lat = _angle(cos_lat, sin_lat, grid.middle[2], grid.middle[3]) + more_lat
+    g = grid.to_grid
+    return g[0, 0] + g[0, 1] * lon + g[0, 2] * lat, g[1, 0] + g[1, 1] * lon + g[1, 2] * lat
+
+
+@njit(**SCALAR)
+def normal_position(grid: Grid, nx: float, ny: float, nz: float) -> tuple[float, float]:
+    """Return (row, col) of a normal, of any length, in a `TABLE` grid; NaN far from it."""
+    axes = grid.axes
+    w = axes[0, 0] * nx + axes[0, 1] * ny + axes[0, 2] * nz
+    if not w > 0.02:
+        return math.nan, math.nan
+    inv_w = 1.0 / w
+    u = (axes[1, 0] * nx + axes[1, 1] * ny + axes[1, 2] * nz) * inv_w
+    v = (axes[2, 0] * nx + axes[2, 1] * ny + axes[2, 2] * nz) * inv_w
+    row, col = table_position(grid.table, grid.table_frame, u, v)
+    return row, col
+
+
+@njit(**SCALAR)
 def grid_position(
     grid: Grid, x: float, y: float, p: float, cos_lat: float, sin_lat: float
 ) -> tuple[float, float]:
     """Return (row, col) over a foot point; (x, y, p) may be any multiple of the real ones."""
     if grid.kind == LON_LAT:
         k = 1.0 / p if p > 0.0 else 0.0
-        lon = _angle(k * x, k * y, grid.middle[0], grid.middle[1])
-        lat = _angle(cos_lat, sin_lat, grid.middle[2], grid.middle[3])
-        g = grid.to_grid
-        return g[0, 0] + g[0, 1] * lon + g[0, 2] * lat, g[1, 0] + g[1, 1] * lon + g[1, 2] * lat
+        row, col = lon_lat_position(grid, k * x, k * y, cos_lat, sin_lat, 0.0, 0.0)
+        return row, col
     k = cos_lat / p if p > 0.0 else 0.0
-    nx, ny = k * x, k * y
-    axes = grid.axes
-    w = axes[0, 0] * nx + axes[0, 1] * ny + axes[0, 2] * sin_lat
-    if not w > 0.02:
-        return math.nan, math.nan
-    u = (axes[1, 0] * nx + axes[1, 1] * ny + axes[1, 2] * sin_lat) / w
-    v = (axes[2, 0] * nx + axes[2, 1] * ny + axes[2, 2] * sin_lat) / w
-    row, col = table_position(grid.table, grid.table_frame, u, v)
+    row, col = normal_position(grid, k * x, k * y, sin_lat)
     return row, col

@@ -115,20 +115,20 @@ def walk(
     height_m: FloatArray,
     maxima_m: FloatArray,
     levels: IntArray,
-    r0: float,
-    r1: float,
-    r2: float,
-    c0: float,
-    c1: float,
-    c2: float,
-    h0: float,
-    h1: float,
-    h2: float,
+    row_terms: tuple[float, float, float],
+    col_terms: tuple[float, float, float],
+    height_terms: tuple[float, float, float],
     s: float,
     s_end: float,
     over: int,
 ) -> tuple[int, float, int]:
-    """Follow an expanded ray from `s` to `s_end`: what it met, where, what it is over."""
+    """Follow an expanded ray from `s` to `s_end`: what it met, where, what it is over.
+
+    The terms are the polynomials (value, first, second) of row, column and height in s.
+    """
+    r0, r1, r2 = row_terms
+    c0, c1, c2 = col_terms
+    h0, h1, h2 = height_terms
     rows, cols = height_m.shape
     for _ in range(8):  # from outside, go to the border first
         row = r0 + s * (r1 + s * r2)

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from geoposition.arrays import FloatArray
+from geoposition.arrays import BoolArray, FloatArray
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import GeometryError
 from geoposition.flags import has_result
@@ -25,6 +25,8 @@ _STEP_PX: Final = 2.0
 _LEAST_RANGE_M: Final = 200.0
 TERMS: Final = 10
 """Terms of the quadratic: 1, l, s, h, l², s², h², l s, l h, s h."""
+SCALE_SHAPE: Final = (2 + TERMS, 6)
+"""Shape of the packed coefficients."""
 
 
 def image_scale(model: SensorModel) -> FloatArray:
@@ -36,8 +38,9 @@ def image_scale(model: SensorModel) -> FloatArray:
     """
     lines, samples = model.shape
     low, high = model.height_range_m
-    low, high = min(low, 0.5 * (low + high - _LEAST_RANGE_M)), max(
-        high, 0.5 * (low + high + _LEAST_RANGE_M)
+    low, high = (
+        min(low, 0.5 * (low + high - _LEAST_RANGE_M)),
+        max(high, 0.5 * (low + high + _LEAST_RANGE_M)),
     )
     mesh = np.meshgrid(
         np.linspace(0.0, lines - 1.0, _GRID),
@@ -52,14 +55,14 @@ def image_scale(model: SensorModel) -> FloatArray:
     centre = np.array([0.5 * (lines - 1), 0.5 * (samples - 1), 0.5 * (low + high)])
     extent = np.array([max(0.5 * lines, 1.0), max(0.5 * samples, 1.0), 0.5 * (high - low)])
     terms = quadratic_terms((place[good] - centre) / extent)
-    packed = np.zeros((2 + TERMS, 6))
+    packed = np.zeros(SCALE_SHAPE)
     packed[0] = np.concatenate([centre, 1.0 / extent])
     packed[2:] = np.linalg.lstsq(terms, jacobian[good].reshape(-1, 6), rcond=1e-12)[0]
     return packed
 
 
 def quadratic_terms(p: FloatArray) -> FloatArray:
-    """The ten monomials of a quadratic in p (..., 3), in the kernel's order."""
+    """Monomials (..., 10) of a quadratic in p (..., 3), in the kernel's order."""
     a, b, c = p[..., 0], p[..., 1], p[..., 2]
     terms = [np.ones_like(a), a, b, c, a * a, b * b, c * c, a * b, a * c, b * c]
     return np.stack(terms, axis=-1)
@@ -67,7 +70,7 @@ def quadratic_terms(p: FloatArray) -> FloatArray:
 
 def _jacobian(
     model: SensorModel, image_px: FloatArray, height_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, BoolArray]:
     """d(line, sample)/d(ECEF) (n, 2, 3), and where it was found (n,)."""
     sides = np.array([[_STEP_PX, 0.0], [-_STEP_PX, 0.0], [0.0, _STEP_PX], [0.0, -_STEP_PX]])
     around = model.image_to_ground(image_px[:, None] + sides, height_m[:, None])
@@ -83,4 +86,5 @@ def _jacobian(
     columns[:, :, 2] *= np.linalg.norm(columns[:, :, 0], axis=1, keepdims=True)
     good &= np.abs(np.linalg.det(columns)) > 1e-9 * np.abs(columns).max(axis=(1, 2)) ** 3
     columns[~good] = np.eye(3)
-    return np.linalg.inv(columns)[:, :2], good
+    inverse = np.linalg.inv(columns)
+    return np.asarray(inverse[:, :2], dtype=np.float64), good

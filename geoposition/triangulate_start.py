@@ -20,8 +20,8 @@ from geoposition.flags import has_result
 from geoposition.pushbroom import cubic_terms
 from geoposition.sensor_model import SensorModel
 
-_GRID: Final = 15
-_LEVELS: Final = 5
+_GRID: Final = 12
+_LEVELS: Final = 4
 _FEWEST: Final = 60
 _MARGIN_M: Final = 2000.0
 _LEAST_RANGE_M: Final = 200.0
@@ -32,7 +32,7 @@ class HeightStart:
     """Cubic height over (line, sample) of the first image and parallax in the second.
 
     `centre` and `scale` (3,) normalise line, sample, t; t = `along` · image point of the second
-    − `plane` · (1, line, sample). `coefficients` (20, 1) give metres. Heights are kept within
+    − `plane` · (1, line, sample). `coefficients` (20,) give metres. Heights are kept within
     `low_m` .. `high_m`. `error_m` is the largest misfit at the grid.
     """
 
@@ -105,7 +105,7 @@ def height_start(first: SensorModel, second: SensorModel) -> HeightStart | None:
     centre = 0.5 * (place.max(axis=0) + place.min(axis=0))
     scale = np.maximum(0.5 * np.ptp(place, axis=0), 1.0)
     terms = cubic_terms((place - centre) / scale)
-    coefficients = np.linalg.lstsq(terms, height, rcond=1e-12)[0]
+    coefficients = np.asarray(np.linalg.lstsq(terms, height, rcond=1e-12)[0], dtype=np.float64)
     return HeightStart(
         centre=centre,
         scale=scale,
@@ -118,7 +118,9 @@ def height_start(first: SensorModel, second: SensorModel) -> HeightStart | None:
     )
 
 
-@njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+@njit(
+    cache=True, parallel=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"}
+)
 def _heights(
     first_px: FloatArray,
     second_px: FloatArray,
@@ -150,5 +152,7 @@ def _heights(
         )
         # A wild parallax says nothing of the height; NaN takes the middle.
         if not low_m <= height <= high_m:
-            height = low_m if height < low_m else (high_m if height > high_m else 0.5 * (low_m + high_m))
+            height = (
+                low_m if height < low_m else (high_m if height > high_m else 0.5 * (low_m + high_m))
+            )
         out[i] = height

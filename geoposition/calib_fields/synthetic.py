@@ -37,7 +37,7 @@ class SyntheticTerrain:
         object.__setattr__(self, "height_m", read_only(self.height_m))
 
     def write(self, path: str | PathLike[str]) -> None:
-        """Write a GeoTIFF of 32-bit heights whose system, EPSG:4979, says that they are ellipsoidal."""
+        """Write a GeoTIFF of 32-bit heights; its system, EPSG:4979, says they are ellipsoidal."""
         step = float(np.degrees(self.step_rad))
         west, north = np.degrees(self.west_rad), np.degrees(self.north_rad)
         rows, cols = self.height_m.shape
@@ -82,15 +82,19 @@ def synthetic_terrain(
     (2 rugged, 4 gently rolling).
     """
     if not (0.0 < step_rad < 0.1 and abs(centre_lat_rad) < 1.4 and lowest_m < highest_m):
-        raise ArgumentError("synthetic terrain: a small step, latitudes below 80 deg, lowest < highest")
+        raise ArgumentError(
+            "synthetic terrain: a small step, latitudes below 80 deg, lowest < highest"
+        )
     step_north_m = float(step_rad * meridian_radius_m(centre_lat_rad))
     step_east_m = float(step_rad * normal_radius_m(centre_lat_rad) * np.cos(centre_lat_rad))
     rows, cols = round(height_m / step_north_m) + 1, round(width_m / step_east_m) + 1
     if min(rows, cols) < 8 or rows * cols > 50_000_000:
-        raise ArgumentError(f"synthetic terrain: 8 to some thousand pixels each way, got {rows}, {cols}")
-    field = fractal_field(
-        (rows, cols), (step_north_m, step_east_m), shortest_m, roughness, np.random.default_rng(seed)
-    )
+        raise ArgumentError(
+            f"synthetic terrain: 8 to some thousand pixels each way, got {rows}, {cols}"
+        )
+    step_m = step_north_m, step_east_m
+    rng = np.random.default_rng(seed)
+    field = fractal_field((rows, cols), step_m, shortest_m, roughness, rng)
     # float32 as written, so that what is in memory is what a reader finds
     heights = (lowest_m + (highest_m - lowest_m) * field).astype(np.float32)
     return SyntheticTerrain(

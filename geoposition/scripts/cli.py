@@ -28,7 +28,16 @@ rpc_app = typer.Typer(
 )
 app.add_typer(rpc_app, name="rpc")
 
-_COMMANDS = ("info", "locate", "project", "export", "rpc_compare", "rpc_convert")
+_COMMANDS = (
+    "demo",
+    "info",
+    "locate",
+    "project",
+    "intersect",
+    "export",
+    "rpc_compare",
+    "rpc_convert",
+)
 
 
 @app.callback(invoke_without_command=True)

@@ -10,15 +10,11 @@ import numpy as np
 
 import geoposition
 from geoposition.accuracy import axis_statistics
+from geoposition.arrays import FloatArray
 from geoposition.flags import Flag
+from geoposition.scripts.demo_data import DemoResult, Intersection, Measured
 from geoposition.scripts.demo_folder import MARK_KEY
-from geoposition.scripts.demo_run import (
-    DemoResult,
-    Intersection,
-    Measured,
-    ground_sample_m,
-    zenith_deg,
-)
+from geoposition.scripts.demo_sanity import ground_sample_m, zenith_deg
 from geoposition.scripts.tables import write_table
 from geoposition.sensors.simulate import ARCSEC_RAD
 from geoposition.sensors.writers.model_file import write_model_file
@@ -38,7 +34,7 @@ def write_inputs(result: DemoResult, folder: Path) -> None:
             write_model_file(model, place / f"{name}.toml", sensor=sensor)
     check, grid = result.check, result.grid
     write_table(folder / "ties.csv", _tie_columns(check, grid))
-    degrees = np.round(np.degrees(check.geodetic[:, :2]), 12)
+    degrees: FloatArray = np.degrees(check.geodetic[:, :2]).round(12)
     write_table(
         folder / "gcps.csv",
         {

@@ -24,7 +24,9 @@ def check_folder(path: Path) -> None:
             raise ProductError(path, "", "a folder for the demo expected, this is a file")
         if any(path.iterdir()) and _former_files(path) is None:
             raise ProductError(
-                path, "", "a new folder, an empty one or a former demo's expected: it has other files"
+                path,
+                "",
+                "a new folder, an empty one or a former demo's expected",
             )
         writable = path
     else:

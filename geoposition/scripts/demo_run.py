@@ -7,7 +7,6 @@ residuals see models, tie points and a DEM file, as a user's own run would.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -19,108 +18,31 @@ from geoposition.accuracy import (
     normalised_rms,
     point_statistics,
 )
-from geoposition.arrays import FloatArray
+from geoposition.arrays import FloatArray, IntArray
 from geoposition.calib_fields.synthetic import SyntheticTerrain, synthetic_terrain
-from geoposition.ellipsoid import enu_axes, geodetic_to_ecef
 from geoposition.flags import Flag, has_result
 from geoposition.locate import locate
-from geoposition.observations import TiePoints
 from geoposition.pushbroom import PushbroomModel
 from geoposition.raster_terrain import RasterTerrain
+from geoposition.scripts.demo_data import (
+    DemoOptions,
+    DemoResult,
+    Intersection,
+    Measured,
+    Models,
+)
+from geoposition.scripts.demo_sanity import sensitivity
 from geoposition.scripts.results import Progress
-from geoposition.sensors.line_camera import LineCamera
 from geoposition.sensors.simulate import (
-    ARCSEC_RAD,
-    SceneOptions,
     SimulatedScene,
     simulate_measurements,
     simulate_scene,
 )
 from geoposition.triangulate import IntersectedPoints, triangulate
 
-Models = Mapping[str, PushbroomModel]
 _TERRAIN_MARGIN_M: Final = 4000.0
 _EDGE_POINTS: Final = 40
 _STEPS: Final = 12
-
-
-@dataclass(frozen=True, slots=True)
-class DemoOptions:
-    """Size and noise of the demo; `scene` says how the satellite flies and is measured."""
-
-    seed: int = 1
-    image_sigma_px: float = 0.3
-    check_points: int = 300
-    grid: int = 200
-    scene: SceneOptions = SceneOptions()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """Ground points (n, 3) whose truth is known, and where the images show them, with noise."""
-
-    ids: np.ndarray[tuple[int, ...], np.dtype[np.str_]]
-    geodetic: FloatArray
-    image_px: Mapping[str, FloatArray]
-
-    def ties(self) -> TiePoints:
-        """Return the image points alone, as a user would have them; products by position."""
-        n = len(self.ids)
-        return TiePoints(
-            ids=np.tile(self.ids, len(self.image_px)),
-            product=np.repeat(np.arange(len(self.image_px)), n),
-            image_px=np.concatenate(list(self.image_px.values())),
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Intersection:
-    """Check points intersected with one set of models, against the truth."""
-
-    found: IntersectedPoints
-    statistics: PointStatistics
-    normalised_rms: Mapping[str, float]
-    """Errors over the stated sigma, root mean square, for e, n, u."""
-
-    @property
-    def mean_sigma_m(self) -> FloatArray:
-        """Root mean square of the stated sigmas, east, north, up (3,)."""
-        return np.asarray(np.sqrt(np.nanmean(self.found.sigma_enu_m**2, axis=0)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sensitivity:
-    """What one arcsecond does: `measured_m` by the models, `expected_m` by range × angle."""
-
-    what: str
-    measured_m: float
-    expected_m: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DemoResult:
-    """Everything that the files and the report are made of."""
-
-    options: DemoOptions
-    scene: SimulatedScene
-    terrain: SyntheticTerrain
-    outlines: Mapping[str, FloatArray]
-    check: Measured
-    grid: Measured
-    grid_index: np.ndarray[tuple[int, ...], np.dtype[np.int64]]
-    """Place (row × columns + column) of each grid point in the lattice `grid_shape`."""
-    grid_shape: tuple[int, int]
-    grid_extent_deg: tuple[float, float, float, float]
-    true: Intersection
-    measured: Intersection
-    budget: Mapping[str, PointStatistics]
-    residuals_px: Mapping[str, FloatArray]
-    height_true: IntersectedPoints
-    height_measured: IntersectedPoints
-    height_error_true_m: FloatArray
-    height_error_measured_m: FloatArray
-    single: Mapping[str, PointStatistics]
-    sensitivity: tuple[Sensitivity, ...]
 
 
 def run_demo(options: DemoOptions, dem_path: Path, progress: Progress) -> DemoResult:
@@ -165,7 +87,7 @@ def run_demo(options: DemoOptions, dem_path: Path, progress: Progress) -> DemoRe
         for name, model in scene.measured.items()
     }
     step()
-    sensitivity = _sensitivity(scene, check, options)
+    one_arcsecond = sensitivity(scene, check, options)
     step()
     return DemoResult(
         options=options,
@@ -186,33 +108,8 @@ def run_demo(options: DemoOptions, dem_path: Path, progress: Progress) -> DemoRe
         height_error_true_m=_above(height_true, dem),
         height_error_measured_m=_above(height_measured, dem),
         single=single,
-        sensitivity=sensitivity,
+        sensitivity=one_arcsecond,
     )
-
-
-def ground_sample_m(model: PushbroomModel) -> tuple[float, float]:
-    """Metres a pixel along rows' and columns' counting, at the middle height.
-
-    The median over the image: a step across the seam of two CCDs tells nothing of the size.
-    """
-    lines, samples = model.shape
-    part = np.linspace(0.1, 0.9, 9)
-    middle = np.stack(np.meshgrid(part * lines, part * samples), axis=-1).reshape(-1, 1, 2)
-    steps = middle + np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
-    ground = model.image_to_ground(steps, 0.5 * sum(model.height_range_m))
-    ecef = geodetic_to_ecef(ground.geodetic)
-    row = np.linalg.norm(ecef[:, 0] - ecef[:, 1], axis=-1)
-    col = np.linalg.norm(ecef[:, 2] - ecef[:, 3], axis=-1)
-    return float(np.nanmedian(row)), float(np.nanmedian(col))
-
-
-def zenith_deg(model: PushbroomModel) -> float:
-    """Zenith angle of the satellite, seen from the ground at the image's centre."""
-    lines, samples = model.shape
-    centre, height = [0.5 * (lines - 1), 0.5 * (samples - 1)], 0.5 * sum(model.height_range_m)
-    up = enu_axes(model.image_to_ground(centre, height).geodetic)[:, 2]
-    cosine = -float(np.dot(model.rays(centre, height).direction_ecef, up))
-    return float(np.degrees(np.arccos(min(cosine, 1.0))))
 
 
 def _border(shape: tuple[int, int]) -> FloatArray:
@@ -261,7 +158,7 @@ def _measure(
     prefix: str,
     options: DemoOptions,
     rng: np.random.Generator,
-) -> tuple[Measured, np.ndarray[tuple[int, ...], np.dtype[np.int64]]]:
+) -> tuple[Measured, IntArray]:
     """Project through the true models with noise; keep points that all images show."""
     image = {
         name: simulate_measurements(model, geodetic, options.image_sigma_px, rng)[0]
@@ -292,11 +189,11 @@ def _grid_points(
     rng: np.random.Generator,
 ) -> tuple[
     Measured,
-    np.ndarray[tuple[int, ...], np.dtype[np.int64]],
+    IntArray,
     tuple[int, int],
     tuple[float, float, float, float],
 ]:
-    """A north-up lattice over the nadir image, as dense matching would give it."""
+    """Points on a north-up lattice over the nadir image, as dense matching would give them."""
     west, south = outlines["nadir"].min(axis=0)
     east, north = outlines["nadir"].max(axis=0)
     width = (east - west) * np.cos(np.radians(0.5 * (south + north)))
@@ -316,9 +213,7 @@ def _intersection(models: Models, points: Measured, options: DemoOptions) -> Int
     statistics = point_statistics(found.geodetic, points.geodetic)
     errors = enu_errors_m(found.geodetic, points.geodetic)
     sigma = found.sigma_enu_m
-    normalised = {
-        axis: normalised_rms(errors[:, k], sigma[:, k]) for k, axis in enumerate("enu")
-    }
+    normalised = {axis: normalised_rms(errors[:, k], sigma[:, k]) for k, axis in enumerate("enu")}
     return Intersection(found, statistics, normalised)
 
 
@@ -358,69 +253,3 @@ def _above(found: IntersectedPoints, dem: RasterTerrain) -> FloatArray:
     ground = dem.height_at(found.geodetic)
     result: FloatArray = found.geodetic[:, 2] - ground.height_m
     return result
-
-
-def _sensitivity(
-    scene: SimulatedScene, points: Measured, options: DemoOptions
-) -> tuple[Sensitivity, ...]:
-    """Turn the nadir camera by 1" about each axis, the forward one in pitch, and look."""
-    nadir = scene.true["nadir"]
-    height = 0.5 * sum(nadir.height_range_m)
-    lines, samples = nadir.shape
-    centre = np.array([0.5 * (lines - 1), 0.5 * (samples - 1)])
-    edge = np.array([0.5 * (lines - 1), 0.0])
-    rays = nadir.rays(np.stack([centre, edge]), height)
-    ground = geodetic_to_ecef(nadir.image_to_ground(np.stack([centre, edge]), height).geodetic)
-    reach = np.linalg.norm(ground - rays.origin_ecef_m, axis=1)
-    aside = float(np.linalg.norm(ground[1] - ground[0]))
-
-    def moved(axis: str, pixel: FloatArray) -> float:
-        turned = _turned(nadir, axis)
-        there = geodetic_to_ecef(turned.image_to_ground(pixel, height).geodetic)
-        here = geodetic_to_ecef(nadir.image_to_ground(pixel, height).geodetic)
-        return float(np.linalg.norm(there - here))
-
-    forward = {**scene.true, "forward": _turned(scene.true["forward"], "y")}
-    pair = ("forward", "backward")
-    exact = Measured(
-        points.ids,
-        points.geodetic,
-        {name: scene.true[name].ground_to_image(points.geodetic).image_px for name in pair},
-    )
-    found = triangulate([forward[name] for name in pair], exact.ties(), options.image_sigma_px)
-    up = point_statistics(found.geodetic, points.geodetic).u.mean
-    return (
-        Sensitivity("roll, on the ground", moved("x", centre), float(reach[0]) * ARCSEC_RAD),
-        Sensitivity("pitch, on the ground", moved("y", centre), float(reach[0]) * ARCSEC_RAD),
-        Sensitivity("yaw, at the image's edge", moved("z", edge), aside * ARCSEC_RAD),
-        Sensitivity(
-            "pitch of the forward camera, in the height from forward and backward",
-            abs(up),
-            _height_change_m(scene),
-        ),
-    )
-
-
-def _turned(model: PushbroomModel, axis: str) -> PushbroomModel:
-    camera = model.camera
-    assert isinstance(camera, LineCamera)
-    return replace(model, camera=camera.with_parameters({f"mounting_{axis}_rad": ARCSEC_RAD}))
-
-
-def _height_change_m(scene: SimulatedScene) -> float:
-    """R 1" cos(b) / sin(a + b) for rays at angles a, b to up, the forward one of range R.
-
-    The forward ray turned by 1" passes the point at the distance R 1"; they meet again where the
-    backward ray has gone R 1" / sin(a + b), of which cos(b) is up.
-    """
-    centre = geodetic_to_ecef(scene.centre_geodetic)
-    up = centre / np.linalg.norm(centre)
-    zenith, reach = {}, {}
-    for name in ("forward", "backward"):
-        model = scene.true[name]
-        pixel = model.ground_to_image(scene.centre_geodetic).image_px
-        rays = model.rays(pixel, scene.centre_geodetic[2])
-        zenith[name] = float(np.arccos(-np.dot(rays.direction_ecef, up)))
-        reach[name] = float(np.linalg.norm(centre - rays.origin_ecef_m))
-    a, b = zenith["forward"], zenith["backward"]
-    return float(reach["forward"] * ARCSEC_RAD * np.cos(b) / np.sin(a + b))

@@ -31,7 +31,7 @@ def describe(product: Product) -> dict[str, object]:
     if product.start is not None:
         facts["start_utc"] = product.start.utc_iso()
     if isinstance(model, PushbroomModel):
-        facts |= _rigorous(model)
+        facts |= _rigorous(model, product.start is not None)
     if isinstance(model, RpcModel) and not model.shape_known:
         facts["image_size"] = "unknown: derived from the RPC's offset and scale"
     facts["vendor_rpc"] = product.vendor_rpc is not None
@@ -70,14 +70,15 @@ def ground_sample(model: SensorModel) -> dict[str, object]:
     }
 
 
-def _rigorous(model: PushbroomModel) -> dict[str, object]:
+def _rigorous(model: PushbroomModel, dated: bool) -> dict[str, object]:
     timing = model.camera.timing
     lines = model.shape[0]
     first, last = (float(t) for t in timing.time_s(np.array([0.0, lines - 1.0])))
     covered = model.covered_lines
+    # Some formats count seconds from an instant they do not tell.
     return {
-        "first_line_utc": (timing.epoch + first).utc_iso(),
-        "last_line_utc": (timing.epoch + last).utc_iso(),
+        "first_line_utc": (timing.epoch + first).utc_iso() if dated else None,
+        "last_line_utc": (timing.epoch + last).utc_iso() if dated else None,
         "line_period_s": (last - first) / max(lines - 1, 1),
         "scan": "forward" if last >= first else "reverse",
         "corrections": model.corrections.describe(),

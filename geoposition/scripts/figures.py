@@ -22,7 +22,13 @@ COLOURS: Final = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E
 HEIGHT_MAP: Final = "cividis"
 SIGNED_MAP: Final = "PuOr_r"
 _DPI: Final = 160
-_STYLE: Final = {
+_BELOW: Final[dict[str, Any]] = {
+    "location": "bottom",
+    "pad": 0.02,
+    "aspect": 25,
+    "shrink": 0.85,
+}
+_STYLE: Final[dict[Any, Any]] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 8.5,
@@ -101,7 +107,7 @@ def height_and_difference(
         row = figure.subplots(1, count, sharey=True)
         colours = _shaded(row[0], terrain)
         row[0].set_title("Heights found")
-        bar = figure.colorbar(colours, ax=row[0], location="bottom", pad=0.02, aspect=25, shrink=0.85)
+        bar = figure.colorbar(colours, ax=row[0], **_BELOW)
         bar.set_label("ellipsoidal height, m")
         for axes, (title, difference) in zip(row[1:], differences.items(), strict=True):
             values = difference.height_m
@@ -114,9 +120,7 @@ def height_and_difference(
                 interpolation="nearest",
             )
             axes.set_title(title)
-            bar = figure.colorbar(
-                image, ax=axes, location="bottom", pad=0.02, aspect=25, shrink=0.85, extend="both"
-            )
+            bar = figure.colorbar(image, ax=axes, extend="both", **_BELOW)
             bar.set_label(unit_note)
         for k, axes in enumerate(row):
             _degrees(axes, terrain, label_latitude=k == 0)
@@ -215,7 +219,7 @@ def histograms(
         edges = np.linspace(-reach, reach, bins + 1)
         for number, (name, sample) in enumerate(values.items()):
             axes.hist(
-                sample[np.isfinite(sample)], edges, density=True, histtype="stepfilled",
+                sample[np.isfinite(sample)], edges.tolist(), density=True, histtype="stepfilled",
                 facecolor=COLOURS[number] + "40", edgecolor=COLOURS[number], lw=1.2, label=name,
             )  # fmt: skip
         axes.axvline(0.0, color="#777777", lw=0.7)

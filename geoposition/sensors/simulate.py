@@ -260,9 +260,7 @@ def _centre(
     timing = ConstantLineRate(orbit.epoch, 0.0, 1e-2)
     straight = CollinearDirections(1.0, (0.0, 0.0), (0.0, -1e-5))
     camera = LineCamera.single((200, 200), timing, straight)
-    model = PushbroomModel(
-        camera, ephemeris, attitude, options.corrections, options.height_range_m
-    )
+    model = PushbroomModel(camera, ephemeris, attitude, options.corrections, options.height_range_m)
     middle_m = 0.5 * sum(options.height_range_m)
     return model.image_to_ground([0.0, 0.0], middle_m).geodetic
 
@@ -280,9 +278,7 @@ def _first_line_s(
     )
     start_s = _look_s(options, design) - _SEARCH_S
     camera = strip.camera(ephemeris.epoch, start_s, np.array(options.lever_arm_body_m))
-    model = PushbroomModel(
-        camera, ephemeris, attitude, options.corrections, options.height_range_m
-    )
+    model = PushbroomModel(camera, ephemeris, attitude, options.corrections, options.height_range_m)
     found = model.ground_to_image(centre)
     if found.flag != Flag.OK:
         raise GeometryError(f"scene: the {design.name} camera never sees the scene's centre")

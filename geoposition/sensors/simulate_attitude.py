@@ -79,8 +79,9 @@ def drift_angle_rad(
     """
     position = as_components(position_gcrs_m, 3, "position")
     rate = EARTH_RATE_RAD_S * as_components(pole_gcrs, 3, "pole")
-    relative = velocity_gcrs_m_s - np.cross(rate, position)
-    axes = nadir_orbit_axes(position, velocity_gcrs_m_s)
+    velocity = as_components(velocity_gcrs_m_s, 3, "velocity")
+    relative = velocity - np.cross(rate, position)
+    axes = nadir_orbit_axes(position, velocity)
     along = np.sum(axes[..., 0] * relative, axis=-1)
     right = np.sum(axes[..., 1] * relative, axis=-1)
     result: FloatArray = np.arctan2(right, along)

@@ -16,7 +16,7 @@ from geoposition.sensors.simulate_orbit import Orbit
 
 
 def epochs_s(first_s: float, last_s: float, rate_hz: float) -> FloatArray:
-    """Sampling times on the multiples of 1 / `rate_hz` that enclose the span."""
+    """Return the multiples of 1 / `rate_hz`, in seconds, that enclose the span."""
     if not (rate_hz > 0.0 and first_s < last_s):
         raise ArgumentError("telemetry: a positive rate and an increasing span expected")
     return np.arange(np.floor(first_s * rate_hz), np.ceil(last_s * rate_hz) + 1.0) / rate_hz

@@ -10,8 +10,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -27,14 +28,18 @@ _GROUPS = ("rigorous", "rpc", "growth", "times")
 
 
 def bench(
-    data: Path | None = typer.Option(
-        None,
-        help="Folder of real products; GEOPOSITION_REAL_DATA if not given, else a made-up scene.",
-    ),
-    json_path: Path | None = typer.Option(None, "--json", help="Also write the figures here."),
-    repeats: int = typer.Option(9, min=1, help="Interleaved repetitions."),
-    quick: bool = typer.Option(False, help="Tiny sizes: does everything run?"),
-    only: str = typer.Option("", help=f"Comma-separated groups of {', '.join(_GROUPS)}."),
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of real products; else GEOPOSITION_REAL_DATA, else a made-up scene."
+        ),
+    ] = None,
+    json_path: Annotated[
+        Path | None, typer.Option("--json", help="Also write the figures to this file.")
+    ] = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Interleaved repetitions.")] = 9,
+    quick: Annotated[bool, typer.Option("--quick", help="Tiny sizes: does all run?")] = False,
+    only: Annotated[str, typer.Option(help=f"Some of {', '.join(_GROUPS)}.")] = "",
 ) -> None:
     """Measure geoposition beside its peers on this machine: same work, same data, one run."""
     if json_path is not None:
@@ -111,7 +116,7 @@ def _growth(found: list[scenes.RigorousScene], quick: bool) -> dict[str, dict[st
 def _times(data: Path | None, repeats: int) -> dict[str, dict[str, float]]:
     times: dict[str, Callable[[], Any]] = {}
     for name, path in scenes.product_paths(data).items():
-        times[f"read {name}"] = lambda path=path: open_product(path)
+        times[f"read {name}"] = partial(open_product, path)
     python = [sys.executable, "-c"]
     commands = {
         "python alone": [*python, "pass"],
@@ -120,9 +125,7 @@ def _times(data: Path | None, repeats: int) -> dict[str, dict[str, float]]:
         "geoposition --help": [sys.executable, "-m", "geoposition.scripts", "--help"],
     }
     for name, command in commands.items():
-        times[name] = lambda command=command: subprocess.run(
-            command, check=True, capture_output=True
-        )
+        times[name] = partial(subprocess.run, command, check=True, capture_output=True)
     spreads = {}
     for name, call in times.items():
         call()

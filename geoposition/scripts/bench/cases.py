@@ -68,7 +68,9 @@ def rigorous_cases(scene: RigorousScene, folder: Path, sizes: Sizes) -> Iterator
     )
     yield _inverse(full, "inverse", f"inverse, {scene.name}", 6.0)
     yield replace(
-        _inverse(like_peers, "inverse-peers", "the same without refraction, as peers have it", None),
+        _inverse(
+            like_peers, "inverse-peers", "the same without refraction, as peers have it", None
+        ),
         peers=(
             peer_usgscsm.MISSING,
             peer_asgard.inverse(like_peers, sizes.slow),
@@ -132,18 +134,14 @@ def rpc_cases(scene: RpcScene, sizes: Sizes) -> Iterator[Case]:
     )
     part = rpc_work(scene, sizes.ours)
     terrain = RasterTerrain(scene.dem, scene.geoid)
-    case = _on_dem(
-        model, part.image_px, terrain, "rpc-dem", f"RPC on a DEM, {scene.name}", 5.0
-    )
+    case = _on_dem(model, part.image_px, terrain, "rpc-dem", f"RPC on a DEM, {scene.name}", 5.0)
     box = np.degrees(part.geodetic[:, :2])
     (west, south), (east, north) = box.min(axis=0) - 0.05, box.max(axis=0) + 0.05
     roi = [float(south), float(west), float(north), float(east)]
     yield replace(
         case,
         tolerance=0.1,
-        peers=(
-            peer_shareloc.locate_on_dem(part, scene.dem, scene.geoid, roi, sizes.compiled),
-        ),
+        peers=(peer_shareloc.locate_on_dem(part, scene.dem, scene.geoid, roi, sizes.compiled),),
     )
     yield from _pair_cases(scene, part, sizes)
 
@@ -217,7 +215,7 @@ def _direct(work: RigorousWork, key: str, title: str, target: float | None) -> C
         title=title,
         points=work.points,
         unit="m",
-        tolerance=1.0,
+        tolerance=0.1,
         ours=Contender(
             OURS, _EVERY, lambda: model.image_to_ground(work.image_px, work.height_m), _ground
         ),
@@ -233,7 +231,7 @@ def _inverse(work: RigorousWork, key: str, title: str, target: float | None) -> 
         title=title,
         points=work.points,
         unit="px",
-        tolerance=2.0,
+        tolerance=0.2,
         ours=Contender(OURS, _EVERY, lambda: model.ground_to_image(work.geodetic), _image),
         target_mpoint_s=target,
         bytes_per_point=24 + 16 + 1,
@@ -253,7 +251,7 @@ def _on_dem(
         title=title,
         points=len(image_px),
         unit="m",
-        tolerance=1.0,
+        tolerance=0.1,
         ours=Contender(OURS, _EVERY, lambda: locate(model, image_px, terrain), _ground),
         target_mpoint_s=target,
         bytes_per_point=16 + 24 + 1,

@@ -13,6 +13,7 @@ from typing import Self
 
 import numba
 import numpy as np
+from numba.np.ufunc.parallel import threading_layer as threading_layer_of_numba
 
 _STATUS = Path("/proc/self/status")
 _CLEAR = Path("/proc/self/clear_refs")
@@ -38,7 +39,7 @@ def processor() -> str:
 
 
 def environment() -> dict[str, object]:
-    """What the figures depend on; `load` says how busy the machine was with other things."""
+    """Name what the figures depend on; `load` says how busy the machine was with other things."""
     facts: dict[str, object] = {
         "processor": processor(),
         "cores": cores(),
@@ -55,7 +56,7 @@ def environment() -> dict[str, object]:
 def threading_layer() -> str:
     """How numba's threads work; known only after a parallel kernel ran."""
     try:
-        return str(numba.threading_layer())
+        return str(threading_layer_of_numba())
     except ValueError:
         return "unknown"
 

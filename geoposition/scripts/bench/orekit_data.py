@@ -90,10 +90,8 @@ def _offset_span(span_s: tuple[float, float], own: Epoch, epoch: Epoch) -> tuple
     return span_s[0] + offset, span_s[1] + offset
 
 
-def _steps(
-    wanted: tuple[float, float], allowed: tuple[float, float], step_s: float
-) -> FloatArray:
-    """Times that cover the image and some of each side, within what there is."""
+def _steps(wanted: tuple[float, float], allowed: tuple[float, float], step_s: float) -> FloatArray:
+    """Give times that cover the image and some of each side, within what there is."""
     spare = max(_MARGIN_S, 6 * step_s)
     low = max(min(wanted) - spare, allowed[0] + 1e-9)
     high = min(max(wanted) + spare, allowed[1] - 1e-9)

@@ -1,3 +1,4 @@
+# mypy: disable-error-code="import-not-found,import-untyped"
 """pyrugged, the Python port of Rugged, on Orekit."""
 
 from __future__ import annotations
@@ -142,9 +143,7 @@ def _location(series: InertialSeries, dem: Path | None) -> Any:
         return epoch.shiftedBy(float(seconds))
 
     orbit = [
-        TimeStampedPVCoordinates(
-            at(t), Vector3D(*p.tolist()), Vector3D(*v.tolist()), Vector3D.ZERO
-        )
+        TimeStampedPVCoordinates(at(t), Vector3D(*p.tolist()), Vector3D(*v.tolist()), Vector3D.ZERO)
         for t, p, v in zip(series.orbit_s, series.position_m, series.velocity_m_s, strict=True)
     ]
     # Hipparchus' rotations take the frame, not the vector, round

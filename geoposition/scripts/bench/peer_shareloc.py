@@ -1,3 +1,4 @@
+# mypy: disable-error-code="import-not-found,import-untyped"
 """CNES shareloc, its C++ RPC where it has one."""
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
+from affine import Affine
 from numpy.typing import NDArray
-from rasterio.transform import from_origin
 from scipy.spatial.transform import Rotation
 
 from geoposition.arrays import FloatArray
@@ -90,7 +90,9 @@ def rpc_scene(data: Path | None, folder: Path) -> RpcScene:
     if data is not None:
         paths = [data / part for part in (*_PAIR_RPC, _DEM, _GEOID)]
         if all(path.exists() for path in paths):
-            models = [open_product(path).vendor_rpc or open_product(path).model for path in paths[:2]]
+            models = [
+                open_product(path).vendor_rpc or open_product(path).model for path in paths[:2]
+            ]
             left, right = models
             if isinstance(left, RpcModel) and isinstance(right, RpcModel):
                 return RpcScene("Pleiades-1B Ventoux", left, right, paths[2], paths[3])
@@ -145,7 +147,7 @@ def synthetic_model() -> PushbroomModel:
     half = 0.5 * (samples - 1)
     ifov = gsd_m / 600e3
     directions = PolynomialDirections(
-        [1e-3, 0.0, 3 * ifov], [0.0, half * ifov, 0.0, 3 * ifov], half, half
+        np.array([1e-3, 0.0, 3 * ifov]), np.array([0.0, half * ifov, 0.0, 3 * ifov]), half, half
     )
     timing = ConstantLineRate(epoch, -0.5 * (lines - 1) * period_s, period_s)
     camera = LineCamera.single((lines, samples), timing, directions)
@@ -211,7 +213,7 @@ def write_terrain(path: Path, geodetic: FloatArray, margin_deg: float) -> Path:
         count=1,
         dtype="float32",
         crs="EPSG:4326",
-        transform=from_origin(west, north, step, step),
+        transform=Affine(step, 0.0, west, 0.0, -step, north),
     ) as raster:
         raster.write(height, 1)
     return path

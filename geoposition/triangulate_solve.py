@@ -1,0 +1,268 @@
+"""Least-squares points of some image points: lines of sight first, then image residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from geoposition import triangulate_kernels as kernels
+from geoposition.arrays import FlagArray, FloatArray, IntArray
+from geoposition.flags import Flag, has_result
+from geoposition.observations import TiePoints
+from geoposition.rays import Rays
+from geoposition.sensor_model import SensorModel
+from geoposition.triangulate_scale import SCALE_SHAPE, image_scale
+from geoposition.triangulate_start import HeightStart, height_range_m, height_start
+
+RAY_TOLERANCE_M: Final = 1.0
+"""How far the height may move before lines of sight are made anew."""
+STEP_TOLERANCE_M: Final = 1e-3
+"""A Gauss–Newton step below this leaves less than a micrometre."""
+MORE_RAYS: Final = 3
+"""How often lines of sight are made anew at most."""
+
+_MOST_STEPS: Final = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartResult:
+    """What `IntersectedPoints` holds, for some points; observations in the part's order."""
+
+    geodetic: FloatArray
+    covariance_enu_m2: FloatArray
+    residual_px: FloatArray
+    rays: IntArray
+    convergence_rad: FloatArray
+    flag: FlagArray
+    image_residual_px: FloatArray
+    redundancy: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """The models, their image scales, and the height cubics of the pairs met so far."""
+
+    models: tuple[SensorModel, ...]
+    fields: FloatArray
+    min_convergence_rad: float
+    starts: dict[tuple[int, int], HeightStart | None] = field(default_factory=dict)
+
+    def start_of(self, first: int, second: int) -> HeightStart | None:
+        """Return the height cubic of two models, fitted when first asked for."""
+        if (first, second) not in self.starts:
+            fitted = height_start(self.models[first], self.models[second])
+            self.starts[first, second] = fitted
+        return self.starts[first, second]
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Observations of some points, by point; `root` (1 or observations, 2, 2) is L⁻¹."""
+
+    start: IntArray
+    product: IntArray
+    image_px: FloatArray
+    root: FloatArray
+
+    @property
+    def root_step(self) -> int:
+        """0 where one `root` serves all observations, else 1."""
+        return 0 if len(self.root) == 1 else 1
+
+    @property
+    def point(self) -> IntArray:
+        """Point of each observation."""
+        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+
+    def of_points(self, points: IntArray) -> tuple[Part, IntArray]:
+        """Return the part with `points` alone, and its observations' rows in this one."""
+        counts = np.diff(self.start)[points]
+        start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        rows = np.repeat(self.start[points] - start[:-1], counts) + np.arange(start[-1])
+        root = self.root if self.root_step == 0 else self.root[rows]
+        return Part(start, self.product[rows], self.image_px[rows], root), rows
+
+
+def image_scales(models: Sequence[SensorModel], ties: TiePoints) -> FloatArray:
+    """Image scales (models, 2 + TERMS, 6) of the models that were used at all."""
+    fields = np.zeros((len(models), *SCALE_SHAPE))
+    for k in np.unique(ties.product):
+        fields[k] = image_scale(models[int(k)])
+    return fields
+
+
+def inverse_roots(covariance_px2: FloatArray) -> FloatArray:
+    """L⁻¹ (n, 2, 2) of covariances L Lᵀ."""
+    inverse = np.linalg.inv(np.linalg.cholesky(covariance_px2))
+    return np.ascontiguousarray(inverse, dtype=np.float64)
+
+
+def _first_heights(scene: Scene, part: Part) -> FloatArray:
+    """Heights (n,) from the parallax between each point's first and last image."""
+    n = len(part.start) - 1
+    height = np.full(n, float(np.mean(height_range_m(list(scene.models)))))
+    several = np.flatnonzero(np.diff(part.start) >= 2)
+    first, last = part.start[several], part.start[several + 1] - 1
+    code = part.product[first] * len(scene.models) + part.product[last]
+    for pair in np.unique(code):
+        a, b = divmod(int(pair), len(scene.models))
+        guess = scene.start_of(a, b)
+        if guess is None:
+            continue
+        mine = code == pair
+        height[several[mine]] = guess.heights_m(
+            part.image_px[first[mine]], part.image_px[last[mine]]
+        )
+    return height
+
+
+def _rays(scene: Scene, part: Part, height_m: FloatArray) -> Rays:
+    """Lines of sight of all observations, each at its point's height."""
+    m = len(part.product)
+    out = Rays(np.empty((m, 3)), np.empty((m, 3)), np.empty(m, dtype=np.uint8))
+    height = height_m[part.point]
+    for k in range(len(scene.models)):
+        rows = np.flatnonzero(part.product == k)
+        if len(rows) == 0:
+            continue
+        rays = scene.models[k].rays(part.image_px[rows], height[rows])
+        out.origin_ecef_m[rows] = rays.origin_ecef_m
+        out.direction_ecef[rows] = rays.direction_ecef
+        out.flag[rows] = rays.flag
+    return out
+
+
+def _weighted_rows(scene: Scene, part: Part, height_m: FloatArray) -> FloatArray:
+    rows = np.empty((len(part.product), 2, 3))
+    kernels.fill_rows(
+        part.product,
+        part.image_px,
+        part.point,
+        height_m,
+        scene.fields,
+        part.root,
+        part.root_step,
+        rows,
+    )
+    return rows
+
+
+def _project(scene: Scene, part: Part, geodetic: FloatArray, ray_flag: FlagArray) -> FloatArray:
+    """Observed − projected image points; an observation that cannot be projected is flagged."""
+    residual = np.full((len(part.product), 2), np.nan)
+    usable = has_result(ray_flag) & np.isfinite(geodetic[:, 2])[part.point]
+    ground = geodetic[part.point]
+    for k in range(len(scene.models)):
+        rows = np.flatnonzero((part.product == k) & usable)
+        if len(rows) == 0:
+            continue
+        seen = scene.models[k].ground_to_image(ground[rows])
+        residual[rows] = part.image_px[rows] - seen.image_px
+        ray_flag[rows] = np.where(has_result(seen.flag), ray_flag[rows], seen.flag)
+    return residual
+
+
+def solve_part(scene: Scene, part: Part) -> PartResult:
+    """Intersect the points of `part`, each with all the observations that can be used."""
+    n, rows_of_part = len(part.start) - 1, len(part.product)
+    out = PartResult(
+        geodetic=np.full((n, 3), np.nan),
+        covariance_enu_m2=np.full((n, 3, 3), np.nan),
+        residual_px=np.full(n, np.nan),
+        rays=np.zeros(n, dtype=np.int64),
+        convergence_rad=np.full(n, np.nan),
+        flag=np.full(n, Flag.TOO_FEW_RAYS, dtype=np.uint8),
+        image_residual_px=np.full((rows_of_part, 2), np.nan),
+        redundancy=np.full((rows_of_part, 2, 2), np.nan),
+    )
+    ray_flag = np.empty(rows_of_part, dtype=np.uint8)
+    height = _first_heights(scene, part)
+    todo = np.arange(n)
+    for _ in range(1 + MORE_RAYS):
+        some, rows = part.of_points(todo)
+        rays = _rays(scene, some, height[todo])
+        position, angle = np.empty((len(todo), 3)), np.empty(len(todo))
+        flag = np.empty(len(todo), dtype=np.uint8)
+        kernels.from_rays(
+            some.start,
+            _weighted_rows(scene, some, height[todo]),
+            rays.origin_ecef_m,
+            rays.direction_ecef,
+            rays.flag,
+            scene.min_convergence_rad,
+            np.empty((len(rows), 2)),
+            position,
+            angle,
+            flag,
+        )
+        out.geodetic[todo], out.flag[todo], out.convergence_rad[todo] = position, flag, angle
+        ray_flag[rows] = rays.flag
+        moved = np.abs(position[:, 2] - height[todo]) > RAY_TOLERANCE_M
+        height[todo] = np.where(np.isfinite(position[:, 2]), position[:, 2], height[todo])
+        todo = todo[moved]
+        if len(todo) == 0:
+            break
+    out.image_residual_px[:] = _least_residuals(
+        scene, part, height, out.geodetic, out.flag, ray_flag
+    )
+    kernels.finish(
+        part.start,
+        _weighted_rows(scene, part, height),
+        part.root,
+        part.root_step,
+        ray_flag,
+        out.image_residual_px,
+        out.geodetic,
+        out.covariance_enu_m2,
+        out.redundancy,
+        out.residual_px,
+        out.rays,
+        out.flag,
+    )
+    lost = ~has_result(out.flag)
+    out.geodetic[lost] = np.nan
+    out.image_residual_px[lost[part.point] | ~has_result(ray_flag)] = np.nan
+    return out
+
+
+def _least_residuals(
+    scene: Scene,
+    part: Part,
+    height_m: FloatArray,
+    geodetic: FloatArray,
+    flags: FlagArray,
+    ray_flag: FlagArray,
+) -> FloatArray:
+    """Gauss–Newton in the images: moves `geodetic`, updates both flags; the residuals."""
+    residual = np.full((len(part.product), 2), np.nan)
+    todo = np.flatnonzero(has_result(flags))
+    for _ in range(_MOST_STEPS):
+        some, rows = part.of_points(todo)
+        position, flag, some_flag = geodetic[todo], flags[todo], ray_flag[rows]
+        misfit = _project(scene, some, position, some_flag)
+        step = np.empty(len(todo))
+        kernels.image_step(
+            some.start,
+            _weighted_rows(scene, some, height_m[todo]),
+            some.root,
+            some.root_step,
+            some_flag,
+            misfit,
+            position,
+            step,
+            flag,
+        )
+        geodetic[todo], flags[todo], ray_flag[rows], residual[rows] = (
+            position,
+            flag,
+            some_flag,
+            misfit,
+        )
+        todo = todo[~(step <= STEP_TOLERANCE_M) & has_result(flag)]
+        if len(todo) == 0:
+            return residual
+    flags[todo] = Flag.NOT_CONVERGED
+    return residual
