@@ -1,10 +1,11 @@
 """Location of image points on terrain, for any `SensorModel`.
 
 A model's ray is straight and exact at one height only (refraction bends it, light takes time,
-a rational polynomial has no rays at all). So rays are taken at a guessed height, crossed with
-the terrain, taken again at the height found, until what is left of the bending is below
-`LATERAL_TOLERANCE_M`. How fast a model's rays bend is measured on a few points of each chunk;
-where they do not, one pass is enough.
+a rational polynomial has no rays at all). Two ways lead to the point that is exact at its own
+height. Many points on a raster: the bending is fitted over the chunk, smooth as it is, the
+raster follows the bent rays, and some of the found points are compared with the model itself.
+Otherwise, or where they do not agree to `LATERAL_TOLERANCE_M`: rays are taken at a guessed
+height, crossed, taken again at the height found, until what is left is below that.
 """
 
 from __future__ import annotations
@@ -19,15 +20,18 @@ from geoposition.arrays import FlagArray, FloatArray, as_components
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import ArgumentError
 from geoposition.flags import Flag, has_result
+from geoposition.raster_terrain import RasterTerrain
 from geoposition.rays import Rays
 from geoposition.sensor_model import GroundPoints, SensorModel
 from geoposition.terrain import ConstantTerrain, Terrain
+from geoposition.terrain_bending import fit_bend
 
 Progress: TypeAlias = Callable[[int, int], None]
 
 LATERAL_TOLERANCE_M: Final = 1e-4
 _MOST_PASSES: Final = 12
 _SAMPLE: Final = 64
+_MANY: Final = 5000
 _LEAST_RATE: Final = 1e-9
 """Metres aside per metre of height that any model is supposed to bend, against division by 0."""
 
@@ -64,13 +68,56 @@ def locate(
     guess_m = 0.5 * (model.height_range_m[0] + model.height_range_m[1])
     for start in range(0, len(flat), chunk):
         part = slice(start, min(start + chunk, len(flat)))
-        geodetic[part], flag[part] = _locate(model, flat[part], terrain, guess_m)
+        geodetic[part], flag[part] = _best(model, flat[part], terrain, guess_m)
         found = geodetic[part][has_result(flag[part]), 2]
         if found.size:
             guess_m = float(np.median(found))
         if progress is not None:
             progress(part.stop, len(flat))
     return GroundPoints(geodetic.reshape(*shape, 3), flag.reshape(shape))
+
+
+def _best(
+    model: SensorModel, image_px: FloatArray, terrain: Terrain, guess_m: float
+) -> tuple[FloatArray, FlagArray]:
+    if isinstance(terrain, RasterTerrain) and len(image_px) >= _MANY:
+        bent = _locate_bent(model, image_px, terrain, guess_m)
+        if bent is not None:
+            return bent
+    return _locate(model, image_px, terrain, guess_m)
+
+
+def _locate_bent(
+    model: SensorModel, image_px: FloatArray, terrain: RasterTerrain, guess_m: float
+) -> tuple[FloatArray, FlagArray] | None:
+    """Follow rays of fitted bending; none where the model does not confirm the result."""
+    pick = np.linspace(0, len(image_px) - 1, _SAMPLE).astype(np.int64)
+    few, _ = _locate(model, image_px[pick], terrain, guess_m)
+    known = few[np.isfinite(few[:, 2]), 2]
+    if not known.size:
+        return None
+    low, high = float(known.min()), float(known.max())
+    slack = 0.3 * (high - low) + 50.0
+    middle_m = 0.5 * (low + high)
+    bend = fit_bend(model, image_px, middle_m, low - slack, high + slack)
+    if bend is None:
+        return None
+    rays = model.rays(image_px, middle_m)
+    crossing = terrain.first_crossing(rays, bend=bend)
+    geodetic, flag = crossing.geodetic, crossing.flag
+    height_m = geodetic[:, 2]
+    found = np.flatnonzero(flag == Flag.OK)
+    if found.size:
+        extremes = found[[np.argmin(height_m[found]), np.argmax(height_m[found])]]
+        spread = found[np.linspace(0, len(found) - 1, _SAMPLE).astype(np.int64)]
+        check = np.concatenate([extremes, spread])
+        exact = model.image_to_ground(image_px[check], height_m[check]).geodetic
+        off = geodetic_to_ecef(exact) - geodetic_to_ecef(geodetic[check])
+        if not np.max(np.linalg.norm(off, axis=-1)) <= LATERAL_TOLERANCE_M:
+            return None
+    aside = rays.flag == Flag.OUTSIDE_IMAGE
+    flag[aside & (flag == Flag.OK)] = Flag.OUTSIDE_IMAGE
+    return geodetic, flag
 
 
 def _locate(

@@ -16,7 +16,9 @@ NMAD: Final = 1.4826
 
 _HALF_WIDTH_PX: Final = 2.0
 _FEWEST: Final = 8
-_NEIGHBOURS: Final = 9
+_NEIGHBOURS: Final = 12
+_REWEIGHTINGS: Final = 8
+_RIDGE: Final = 1e-3
 _PARALLAX_FLOOR_PX: Final = 4.0
 _ACROSS_FLOOR_PX: Final = 0.3
 _SIGMAS: Final = 4.0
@@ -68,17 +70,30 @@ def near_offset(across_px: FloatArray) -> BoolArray:
 def like_neighbours(first_px: FloatArray, along_px: FloatArray) -> BoolArray:
     """Tell which matches have a parallax (n,) like that of their neighbours in the first image.
 
-    A ground plane through the neighbours is allowed for: slopes are not errors.
+    The neighbours' parallax is a plane, fitted so that the sum of distances is least: slopes of
+    the ground are no errors, and wrong neighbours do not lead it astray. What the neighbours
+    themselves scatter about it is allowed for.
     """
     n = len(first_px)
     if n <= _NEIGHBOURS:
         return np.ones(n, dtype=np.bool_)
-    _, near = cKDTree(first_px).query(first_px, k=_NEIGHBOURS + 1)
+    reach, near = cKDTree(first_px).query(first_px, k=_NEIGHBOURS + 1)
     near = near[:, 1:]
-    around = along_px[near]
-    level = np.median(around, axis=1)
-    spread = NMAD * np.median(np.abs(around - level[:, None]), axis=1)
-    off = np.abs(along_px - level)
+    place = (first_px[near] - first_px[:, None]) / np.maximum(reach[:, -1], 1.0)[:, None, None]
+    terms = np.concatenate([np.ones((n, _NEIGHBOURS, 1)), place], axis=-1)
+    around = along_px[near] - np.median(along_px[near], axis=1, keepdims=True)
+    weight = np.ones_like(around)
+    misfit = around
+    plane = np.zeros((n, 3))
+    for _ in range(_REWEIGHTINGS):
+        weighted = terms * weight[..., None]
+        normal = np.einsum("nki,nkj->nij", weighted, terms) + _RIDGE * np.eye(3)
+        right = np.einsum("nki,nk->ni", weighted, around)
+        plane = np.linalg.solve(normal, right[..., None])[..., 0]
+        misfit = np.abs(around - np.einsum("nki,ni->nk", terms, plane))
+        weight = 1.0 / np.maximum(misfit, 1.0)
+    spread = NMAD * np.median(misfit, axis=1)
+    off = np.abs(along_px - np.median(along_px[near], axis=1) - plane[:, 0])
     return np.asarray(off <= _PARALLAX_FLOOR_PX + _SIGMAS * spread)
 
 

@@ -92,7 +92,7 @@ _SHELL_MISSED: Final = np.uint8(Flag.NO_INTERSECTION)
 def _level_crossings(
     origin_ecef_m: FloatArray,
     direction_ecef: FloatArray,
-    height_m: float,
+    height_m: FloatArray,
     flag: FlagArray,
     range_m: FloatArray,
 ) -> None:
@@ -104,12 +104,13 @@ def _level_crossings(
         if not abs((ox + oy + oz) * (dx + dy + dz)) < math.inf:
             continue
         flag[k] = _SHELL_MISSED
-        t, _ = shell_ranges(ox, oy, oz, dx, dy, dz, height_m)
+        level = height_m[k] if height_m.size > 1 else height_m[0]
+        t, _ = shell_ranges(ox, oy, oz, dx, dy, dz, level)
         for _step in range(20):
             x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
             cos_lat, sin_lat, p, h = foot_point(x, y, z)
             up = sin_lat * dz + (cos_lat * (x * dx + y * dy) / p if p > 0.0 else 0.0)
-            step = (height_m - h) / up
+            step = (level - h) / up
             t += step
             if abs(step) < 1e-6:
                 if t >= 0.0 and up < 0.0:
@@ -154,19 +155,29 @@ class ConstantTerrain:
 
     def first_crossing(self, rays: Rays, hint_m: ArrayLike | None = None) -> Crossings:
         """Where each ray comes down to the height, to a micrometre; `hint_m` is ignored."""
-        shape = rays.origin_ecef_m.shape[:-1]
-        origin = np.ascontiguousarray(rays.origin_ecef_m, dtype=np.float64).reshape(-1, 3)
-        direction = np.ascontiguousarray(rays.direction_ecef, dtype=np.float64).reshape(-1, 3)
-        range_m = np.empty(len(origin))
-        flag = np.empty(len(origin), np.uint8)
-        _level_crossings(origin, direction, self.height_m, flag, range_m)
-        geodetic = ecef_to_geodetic(origin + range_m[:, None] * direction)
-        keep_flags(rays, flag)
-        return Crossings(range_m.reshape(shape), geodetic.reshape(*shape, 3), flag.reshape(shape))
+        return level_crossings(rays, self.height_m)
 
     def height_range_m(self, geodetic: ArrayLike) -> tuple[float, float]:
         """Return the height, twice."""
         return self.height_m, self.height_m
+
+
+def level_crossings(rays: Rays, height_m: ArrayLike) -> Crossings:
+    """Where each ray comes down to its ellipsoidal height `height_m` (...), to a micrometre."""
+    shape = rays.origin_ecef_m.shape[:-1]
+    origin = np.ascontiguousarray(rays.origin_ecef_m, dtype=np.float64).reshape(-1, 3)
+    direction = np.ascontiguousarray(rays.direction_ecef, dtype=np.float64).reshape(-1, 3)
+    height = np.asarray(height_m, dtype=np.float64)
+    if height.ndim:
+        height = np.broadcast_to(height, shape)
+    range_m = np.empty(len(origin))
+    flag = np.empty(len(origin), np.uint8)
+    if len(origin):
+        levels = np.ascontiguousarray(height.reshape(-1))
+        _level_crossings(origin, direction, levels, flag, range_m)
+    geodetic = ecef_to_geodetic(origin + range_m[:, None] * direction)
+    keep_flags(rays, flag)
+    return Crossings(range_m.reshape(shape), geodetic.reshape(*shape, 3), flag.reshape(shape))
 
 
 def keep_flags(rays: Rays, flag: FlagArray) -> None:

@@ -27,6 +27,7 @@ from geoposition.terrain_grid import (
     normal_position,
 )
 from geoposition.terrain_series import (
+    GROUP,
     TERMS,
     Bend,
     Triple,
@@ -55,8 +56,6 @@ BAD: Final = 6
 """Statuses beyond those of `terrain_walk`."""
 
 _BATCH: Final = 256
-_GROUP: Final = 32
-"""Rays expanded together, so that the compiler uses the processor's vectors."""
 _WALK_M3: Final = 1e-3
 """(expansion length)³ / (distance from the axis)² below which the walk is right to about 1 mm."""
 _EXACT_M3: Final = 1e-6
@@ -96,24 +95,50 @@ def _finish(
 
 
 @njit(**LONG)
+def _expand(rays: FloatArray, terms: FloatArray, bend_height_m: float) -> None:
+    """Expand a group of rays, each where it has its hint of a height (or is lowest)."""
+    for m in range(GROUP):
+        ox, oy, oz = rays[m], rays[GROUP + m], rays[2 * GROUP + m]
+        dx, dy, dz = rays[3 * GROUP + m], rays[4 * GROUP + m], rays[5 * GROUP + m]
+        centre, _ = shell_ranges(ox, oy, oz, dx, dy, dz, rays[12 * GROUP + m])
+        closest = -(ox * dx + oy * dy + oz * dz)
+        centre = centre if centre == centre else closest
+        centre = centre if centre > 0.0 else 0.0
+        rays[13 * GROUP + m] = centre
+        series(
+            ox + centre * dx,
+            oy + centre * dy,
+            oz + centre * dz,
+            dx,
+            dy,
+            dz,
+            (rays[6 * GROUP + m], rays[7 * GROUP + m], rays[8 * GROUP + m]),
+            (rays[9 * GROUP + m], rays[10 * GROUP + m], rays[11 * GROUP + m]),
+            bend_height_m,
+            terms,
+            m,
+        )
+
+
+@njit(**LONG)
 def _cross(
     grid: Grid,
-    ox: float,
-    oy: float,
-    oz: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    b1: Triple,
-    b2: Triple,
     bend_height_m: float,
     top_m: float,
     bottom_m: float,
-    centre: float,
+    rays: FloatArray,
     terms: FloatArray,
     m: int,
 ) -> tuple[int, float, float, float, float]:
-    """(status, range, lon, lat, height) of one ray, expanded about `centre` in `terms[:, m]`."""
+    """(status, range, lon, lat, height) of ray `m`, expanded about its hint in column m of `terms`.
+
+    Column m of `rays`: origin, direction, B1, B2, hint, and the range of the expansion.
+    """
+    ox, oy, oz = rays[0 * GROUP + m], rays[1 * GROUP + m], rays[2 * GROUP + m]
+    dx, dy, dz = rays[3 * GROUP + m], rays[4 * GROUP + m], rays[5 * GROUP + m]
+    b1 = (rays[6 * GROUP + m], rays[7 * GROUP + m], rays[8 * GROUP + m])
+    b2 = (rays[9 * GROUP + m], rays[10 * GROUP + m], rays[11 * GROUP + m])
+    centre = rays[13 * GROUP + m]
     nan = math.nan
     start, end = centre, centre
     over = AT_START
@@ -122,7 +147,7 @@ def _cross(
             x, y, z = ox + centre * dx, oy + centre * dy, oz + centre * dz
             series(x, y, z, dx, dy, dz, b1, b2, bend_height_m, terms, m)
         row, col, nx, ny, nz, scale2 = grid_terms(grid, terms, m)
-        h0, h1, h2 = terms[4, m], terms[5, m], terms[6, m]
+        h0, h1, h2 = terms[4 * GROUP + m], terms[5 * GROUP + m], terms[6 * GROUP + m]
         height = (h0, h1, h2)
         limit = _WALK_M3 * scale2
         reach = -1.0
@@ -232,62 +257,37 @@ def crossings(
     hinted = hint_m.shape[0] > 0
     for batch in prange(-(-n // _BATCH)):
         hint = 0.5 * (top_m + bottom_m)
-        terms = np.empty((TERMS, _GROUP))
-        centres = np.empty(_GROUP)
-        offsets = np.zeros((6, _GROUP))
+        terms = np.empty(TERMS * GROUP)
+        rays = np.zeros(14 * GROUP)
         end = min((batch + 1) * _BATCH, n)
-        for first in range(batch * _BATCH, end, _GROUP):
-            count = min(_GROUP, end - first)
-            if bent:
+        for first in range(batch * _BATCH, end, GROUP):
+            count = min(GROUP, end - first)
+            for m in range(count):
+                k = first + m
                 for axis in range(3):
-                    for m in range(count):
-                        offsets[axis, m], offsets[3 + axis, m] = bend_terms(bend, first + m, axis)
+                    rays[axis * GROUP + m] = origin_ecef_m[k, axis]
+                    rays[(3 + axis) * GROUP + m] = direction_ecef[k, axis]
+                rays[12 * GROUP + m] = hint_m[k] if hinted else hint
+                if bent:
+                    for axis in range(3):
+                        rays[(6 + axis) * GROUP + m], rays[(9 + axis) * GROUP + m] = bend_terms(
+                            bend, k, axis
+                        )
+            _expand(rays, terms, bend.height_m)
             for m in range(count):
                 k = first + m
-                ox, oy, oz = origin_ecef_m[k, 0], origin_ecef_m[k, 1], origin_ecef_m[k, 2]
-                dx, dy, dz = direction_ecef[k, 0], direction_ecef[k, 1], direction_ecef[k, 2]
-                near, _ = shell_ranges(ox, oy, oz, dx, dy, dz, hint_m[k] if hinted else hint)
-                closest = -(ox * dx + oy * dy + oz * dz)
-                near = near if near == near else closest
-                near = near if near > 0.0 else 0.0
-                centres[m] = near
-                series(
-                    ox + near * dx,
-                    oy + near * dy,
-                    oz + near * dz,
-                    dx,
-                    dy,
-                    dz,
-                    (offsets[0, m], offsets[1, m], offsets[2, m]),
-                    (offsets[3, m], offsets[4, m], offsets[5, m]),
-                    bend.height_m,
-                    terms,
-                    m,
-                )
-            for m in range(count):
-                k = first + m
-                ox, oy, oz = origin_ecef_m[k, 0], origin_ecef_m[k, 1], origin_ecef_m[k, 2]
-                dx, dy, dz = direction_ecef[k, 0], direction_ecef[k, 1], direction_ecef[k, 2]
                 status[k] = BAD
                 range_m[k] = geodetic[k, 0] = geodetic[k, 1] = geodetic[k, 2] = math.nan
-                if not abs((ox + oy + oz) * (dx + dy + dz)) < math.inf:
+                sums = rays[0 * GROUP + m] + rays[1 * GROUP + m] + rays[2 * GROUP + m]
+                if (
+                    not abs(
+                        sums * (rays[3 * GROUP + m] + rays[4 * GROUP + m] + rays[5 * GROUP + m])
+                    )
+                    < math.inf
+                ):
                     continue
                 status[k], range_m[k], geodetic[k, 0], geodetic[k, 1], geodetic[k, 2] = _cross(
-                    grid,
-                    ox,
-                    oy,
-                    oz,
-                    dx,
-                    dy,
-                    dz,
-                    (offsets[0, m], offsets[1, m], offsets[2, m]),
-                    (offsets[3, m], offsets[4, m], offsets[5, m]),
-                    bend.height_m,
-                    top_m,
-                    bottom_m,
-                    centres[m],
-                    terms,
-                    m,
+                    grid, bend.height_m, top_m, bottom_m, rays, terms, m
                 )
                 if status[k] == CROSSED:
                     hint = geodetic[k, 2]

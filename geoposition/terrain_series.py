@@ -23,6 +23,9 @@ SPAN_M: Final = 1000.0
 """A table's map is expanded through points so far from the centre."""
 POLE_M: Final = 0.01
 """Within this of the axis the longitude stands still instead of spinning."""
+GROUP: Final = 32
+"""Rays expanded together. Their numbers are kept in flat arrays, number i of ray m at
+i `GROUP` + m: with all distances constant the compiler uses the processor's vectors."""
 TERMS: Final = 19
 
 
@@ -102,7 +105,7 @@ def series(
     out: FloatArray,
     m: int,
 ) -> None:
-    """Expand a ray about its point (x, y, z) into `out[:, m]`, without a branch.
+    """Expand a ray about its point (x, y, z) into column m of `out`, without a branch.
 
     With east, north and up components (e, n, u) of the direction, radii N and M, p from the
     axis, a = e / (N + h), b = n / (M + h): lon' = e / p, lon'' = −2 lon' p' / p, lat' = b,
@@ -161,25 +164,27 @@ def series(
     m_rate = 3.0 * meridian * bend * b
     lon1 = e * inv_p if spins else 0.0
     kappa = -a * bend * normal * inv_n * inv_m
-    out[0, m] = cos_lon
-    out[1, m] = sin_lon
-    out[2, m] = cos_lat
-    out[3, m] = sin_lat
-    out[4, m] = h + cos_lat * off_p + sin_lat * off_z
-    out[5, m] = u
-    out[6, m] = h2 + cos_lat * add_p + sin_lat * add_z
-    out[7, m] = p * p
-    out[8, m] = off_e * inv_p if spins else 0.0
-    out[9, m] = lon1
-    out[10, m] = -lon1 * p_rate * inv_p + (add_e * inv_p if spins else 0.0)
-    out[11, m] = off_n * inv_m
-    out[12, m] = b
-    out[13, m] = (add_n - 0.5 * (b * (2.0 * u + m_rate) + lon1 * sin_lat * e)) * inv_m
-    out[14, m] = off_e * inv_n
-    out[15, m] = a
-    out[16, m] = (add_e - 0.5 * a * (2.0 * u + normal * bend * b)) * inv_n + 0.5 * kappa * n
-    out[17, m] = (add_n - 0.5 * b * (2.0 * u + m_rate)) * inv_m + 0.5 * kappa * e
-    out[18, m] = -0.5 * (a * a + b * b)
+    out[0 * GROUP + m] = cos_lon
+    out[1 * GROUP + m] = sin_lon
+    out[2 * GROUP + m] = cos_lat
+    out[3 * GROUP + m] = sin_lat
+    out[4 * GROUP + m] = h + cos_lat * off_p + sin_lat * off_z
+    out[5 * GROUP + m] = u
+    out[6 * GROUP + m] = h2 + cos_lat * add_p + sin_lat * add_z
+    out[7 * GROUP + m] = p * p
+    out[8 * GROUP + m] = off_e * inv_p if spins else 0.0
+    out[9 * GROUP + m] = lon1
+    out[10 * GROUP + m] = -lon1 * p_rate * inv_p + (add_e * inv_p if spins else 0.0)
+    out[11 * GROUP + m] = off_n * inv_m
+    out[12 * GROUP + m] = b
+    out[13 * GROUP + m] = (add_n - 0.5 * (b * (2.0 * u + m_rate) + lon1 * sin_lat * e)) * inv_m
+    out[14 * GROUP + m] = off_e * inv_n
+    out[15 * GROUP + m] = a
+    out[16 * GROUP + m] = (
+        add_e - 0.5 * a * (2.0 * u + normal * bend * b)
+    ) * inv_n + 0.5 * kappa * n
+    out[17 * GROUP + m] = (add_n - 0.5 * b * (2.0 * u + m_rate)) * inv_m + 0.5 * kappa * e
+    out[18 * GROUP + m] = -0.5 * (a * a + b * b)
 
 
 @njit(**SCALAR)
@@ -190,13 +195,18 @@ def grid_terms(
 
     The last is the square of the length that scales the third order.
     """
-    cos_lon, sin_lon, cos_lat, sin_lat = terms[0, m], terms[1, m], terms[2, m], terms[3, m]
-    lat1 = terms[12, m]
+    cos_lon, sin_lon, cos_lat, sin_lat = (
+        terms[0 * GROUP + m],
+        terms[1 * GROUP + m],
+        terms[2 * GROUP + m],
+        terms[3 * GROUP + m],
+    )
+    lat1 = terms[12 * GROUP + m]
     if grid.kind == LON_LAT:
         row, col = lon_lat_position(
-            grid, cos_lon, sin_lon, cos_lat, sin_lat, terms[8, m], terms[11, m]
+            grid, cos_lon, sin_lon, cos_lat, sin_lat, terms[8 * GROUP + m], terms[11 * GROUP + m]
         )
-        lon1, lon2, lat2 = terms[9, m], terms[10, m], terms[13, m]
+        lon1, lon2, lat2 = terms[9 * GROUP + m], terms[10 * GROUP + m], terms[13 * GROUP + m]
         g = grid.to_grid
         none = (0.0, 0.0, 0.0)
         return (
@@ -205,10 +215,10 @@ def grid_terms(
             none,
             none,
             none,
-            max(terms[7, m], POLE_M * POLE_M),
+            max(terms[7 * GROUP + m], POLE_M * POLE_M),
         )
-    off_e, a, east2 = terms[14, m], terms[15, m], terms[16, m]
-    off_n, north2, up2 = terms[11, m], terms[17, m], terms[18, m]
+    off_e, a, east2 = terms[14 * GROUP + m], terms[15 * GROUP + m], terms[16 * GROUP + m]
+    off_n, north2, up2 = terms[11 * GROUP + m], terms[17 * GROUP + m], terms[18 * GROUP + m]
     nx = (
         cos_lat * cos_lon - off_e * sin_lon - off_n * sin_lat * cos_lon,
         -a * sin_lon - lat1 * sin_lat * cos_lon,

@@ -174,6 +174,21 @@ def test_single_image_recomputed_by_the_command(
     np.testing.assert_allclose(found, direct.geodetic, rtol=0, atol=1e-6)
 
 
+def test_intersect_command_gives_the_same(
+    demo: Path, figures: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, _ = run(
+        capsys, "intersect", *(str(demo / f"{name}.toml") for name in CAMERAS),
+        "--ties", str(demo / "ties.csv"), "--gcps", str(demo / "gcps.csv"), "--sigma", "0.3",
+        "-o", str(tmp_path / "out.csv"), "--json",
+    )  # fmt: skip
+    assert status == 0
+    rmse = json.loads(out)["rmse_m"]
+    stated = figures["intersection"]["measured_models"]["errors_m"]
+    for axis in "enu":
+        assert rmse[axis] == pytest.approx(stated[axis]["rmse"], abs=2e-3)
+
+
 def test_one_arcsecond_is_range_times_angle(figures: dict[str, Any]) -> None:
     lines = figures["one_arcsecond"]
     assert len(lines) == 4

@@ -15,7 +15,7 @@ from geoposition.arrays import FloatArray
 from geoposition.ellipsoid import enu_axes, geodetic_to_ecef
 from geoposition.errors import ArgumentError
 from geoposition.flags import Flag
-from geoposition.locate import locate
+from geoposition.locate import _locate, _locate_bent, locate
 from geoposition.raster_terrain import RasterTerrain
 from geoposition.rays import Rays
 from geoposition.sensor_model import GroundPoints, ImagePoints, SensorModel
@@ -121,6 +121,47 @@ def test_points_lie_on_the_ground_and_on_their_bent_rays(
     assert np.mean(found.flag == Flag.OK) > 0.99
     ok = found.flag == Flag.OK
     assert set(np.unique(found.flag)) <= {Flag.OK, Flag.NOT_CONVERGED}
+    assert_on_ray_and_ground(
+        model, image[ok], terrain, GroundPoints(found.geodetic[ok], found.flag[ok])
+    )
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.3, 2.0])
+@pytest.mark.parametrize("tilt", [0.0, 0.3, 1.2])
+def test_many_points_follow_the_fitted_bending(
+    terrain: RasterTerrain, tilt: float, bend: float
+) -> None:
+    model = SlidingCamera(tilt, bend)
+    image = image_points(6000)
+    found = _locate_bent(model, image, terrain, 1500.0)
+    assert found is not None  # the model confirmed it
+    one_by_one, flag = _locate(model, image, terrain, 1500.0)
+    # a bent ray that touches a ridge may end on it here and not settle there
+    same = (found[1] == flag) & (np.abs(found[0][:, 2] - one_by_one[:, 2]) < 1e-3)
+    assert np.mean(same) > 0.998
+    assert np.mean(found[1] == Flag.OK) > 0.99
+    assert_on_ray_and_ground(model, image[same], terrain, GroundPoints(found[0][same], flag[same]))
+
+
+def test_a_bending_that_cannot_be_fitted_is_noticed(terrain: RasterTerrain) -> None:
+    @dataclass(frozen=True, slots=True)
+    class Trembling(SlidingCamera):
+        def rays(self, image_px: ArrayLike, height_m: ArrayLike) -> Rays:
+            image = np.asarray(image_px, dtype=np.float64)
+            rays = SlidingCamera.rays(self, image, height_m)
+            height = np.asarray(height_m, dtype=np.float64)
+            aside = 0.05 * np.sin(image[..., 0] / 3.0) * height / 1000.0
+            east = enu_axes(np.array([LON0, LAT0, 0.0]))[:, 0]
+            return Rays(
+                rays.origin_ecef_m + aside[..., None] * east, rays.direction_ecef, rays.flag
+            )
+
+    model = Trembling()
+    image = image_points(6000)
+    assert _locate_bent(model, image, terrain, 1500.0) is None
+    found = locate(model, image, terrain)
+    ok = found.flag == Flag.OK
+    assert ok.mean() > 0.99
     assert_on_ray_and_ground(
         model, image[ok], terrain, GroundPoints(found.geodetic[ok], found.flag[ok])
     )

@@ -233,9 +233,7 @@ def test_many_narrow_ccds_over_a_long_strip() -> None:
     grid = scene.grid(50)
     inner = np.abs((grid.image_px[:, 1] + 0.5 + 75) % 150 - 75) > 0.6
     inner |= (grid.image_px[:, 1] < 10) | (grid.image_px[:, 1] > 2990)
-    assert (
-        round_trip(scene.model(), grid.image_px[inner], grid.height_m[inner]) < ROUND_TRIP_PX
-    )
+    assert round_trip(scene.model(), grid.image_px[inner], grid.height_m[inner]) < ROUND_TRIP_PX
 
 
 # Rays --------------------------------------------------------------------------------------
@@ -556,9 +554,7 @@ def test_epochs_are_taken_into_account() -> None:
     times = np.arange(-6.0, 7.0)
     shifted = Ephemeris.lagrange(EPOCH + 0.25, times - 0.25, scene.orbit.earth_fixed(times)[0])
     attitude = Attitude(EPOCH, scene.attitude.curve)
-    model = PushbroomModel(
-        scene.camera, shifted, attitude, scene.corrections, scene.height_range_m
-    )
+    model = PushbroomModel(scene.camera, shifted, attitude, scene.corrections, scene.height_range_m)
     grid = scene.grid(3)
     gap = geodetic_to_ecef(
         model.image_to_ground(grid.image_px, grid.height_m).geodetic
@@ -568,7 +564,7 @@ def test_epochs_are_taken_into_account() -> None:
 
 def test_seconds_too_large_for_the_clock_are_refused_at_once() -> None:
     # 1e9 s from the epoch, a double counts in steps of 1e-7 s: 0.9 mm of flight.
-    with pytest.raises(ConvergenceError, match="rounding|rough"):
+    with pytest.raises(ConvergenceError, match="too rough"):
         build((100, 100), middle_s=1e9).model()
 
 
@@ -644,7 +640,7 @@ def test_one_height_range_is_enough() -> None:
 
 
 _RUN = """
-import json, sys
+import hashlib, json, sys
 sys.path.insert(0, sys.argv[1])
 import numpy as np
 from scenes import build
@@ -652,8 +648,8 @@ model = build(roll_deg=20.0).model()
 px = np.random.default_rng(1).uniform(0, 1, (20000, 2)) * 1400
 ground = model.image_to_ground(px, 100.0)
 image = model.ground_to_image(ground.geodetic)
-import hashlib
-print(json.dumps([hashlib.sha256(a.tobytes()).hexdigest() for a in (ground.geodetic, image.image_px)]))
+both = (ground.geodetic, image.image_px)
+print(json.dumps([hashlib.sha256(a.tobytes()).hexdigest() for a in both]))
 """
 
 

@@ -13,8 +13,8 @@ from numba import njit, prange
 from geoposition.arrays import FloatArray, IntArray
 from geoposition.rpc.kernel_base import FAST, cubic
 
-BLOCK = 128
-CHUNKS = 16
+_BLOCK = 128
+_CHUNKS = 16
 """Parts of the points, added up in this order whatever the number of threads."""
 
 
@@ -36,7 +36,7 @@ def moments(
     With r the target, a its `affine` (2, 4) part, N/D the ratio of `num` to `den` (2, 20) and
     p the `weight` (2, n), the monomials up to sizes[0], sizes[1], ... are weighted by
 
-        w = p/D², w δ, w δ², e p/D, e p/D δ
+        p/D², p/D² δ, p/D² δ², e p/D, e p/D δ
 
     where, if `newton`, δ = N/D − a and e = r − N/D; else D = 1, δ = r − a, e = 0.
 
@@ -44,65 +44,151 @@ def moments(
     """
     n = x.shape[1]
     size = sizes[0]
-    part = np.zeros((CHUNKS, 2, 5, size))
-    square = np.zeros((CHUNKS, 2))
-    low, high = np.full((CHUNKS, 2), np.inf), np.full((CHUNKS, 2), -np.inf)
-    step = (n + CHUNKS - 1) // CHUNKS
-    for chunk in prange(CHUNKS):
-        mono = np.empty((size, BLOCK))
-        w = np.zeros((5, BLOCK))
-        top, bottom = np.zeros(BLOCK), np.zeros(BLOCK)
-        first, last = chunk * step, min(n, (chunk + 1) * step)
-        for begin in range(first, last, BLOCK):
-            used = min(BLOCK, last - begin)
-            mono[0] = 1.0
-            for j in range(1, size):
-                k, v = parent[j], variable[j]
-                for b in range(used):
-                    mono[j, b] = mono[k, b] * x[v, begin + b]
+    part = np.zeros((_CHUNKS, 10, size))
+    facts = np.zeros((_CHUNKS, 2, 3))
+    step = (n + _CHUNKS - 1) // _CHUNKS
+    for chunk in prange(_CHUNKS):
+        mono, w = np.empty((size, _BLOCK)), np.zeros((10, _BLOCK))
+        points, work = np.zeros((3, _BLOCK)), np.zeros((6, _BLOCK))
+        facts[chunk, :, 1], facts[chunk, :, 2] = np.inf, -np.inf
+        for begin in range(chunk * step, min(n, (chunk + 1) * step), _BLOCK):
+            used = min(_BLOCK, min(n, (chunk + 1) * step) - begin)
+            _load(x, target, weight, begin, used, points, work)
+            _monomials(points, parent, variable, mono)
             for axis in range(2):
-                for b in range(used):
-                    top[b], bottom[b] = target[axis, begin + b], 1.0
-                if newton:
-                    top[:] = 0.0
-                    bottom[:] = 0.0
-                    for j in range(20):
-                        for b in range(used):
-                            top[b] += num[axis, j] * mono[j, b]
-                            bottom[b] += den[axis, j] * mono[j, b]
-                total, least, most = 0.0, np.inf, -np.inf
-                for b in range(used):
-                    p, d = weight[axis, begin + b], bottom[b]
-                    delta = top[b] / d - affine[axis, 0]
-                    e = target[axis, begin + b] - top[b] / d
-                    for k in range(1, 4):
-                        delta -= affine[axis, k] * mono[k, b]
-                    w[0, b] = p / (d * d)
-                    w[1, b] = w[0, b] * delta
-                    w[2, b] = w[1, b] * delta
-                    w[3, b] = p * e / d
-                    w[4, b] = w[3, b] * delta
-                    total += p * e * e
-                    least, most = min(least, d), max(most, d)
-                square[chunk, axis] += total
-                low[chunk, axis] = min(low[chunk, axis], least)
-                high[chunk, axis] = max(high[chunk, axis], most)
-                for i in range(5 if newton else 3):
-                    for j in range(sizes[i]):
-                        total = 0.0
-                        for b in range(used):
-                            total += mono[j, b] * w[i, b]
-                        part[chunk, axis, i, j] += total
-    sums, squares = np.zeros((2, 5, size)), np.zeros(2)
-    extremes = np.empty((2, 2))
-    extremes[:, 0], extremes[:, 1] = np.inf, -np.inf
-    for chunk in range(CHUNKS):
-        sums += part[chunk]
-        squares += square[chunk]
-        for axis in range(2):
-            extremes[axis, 0] = min(extremes[axis, 0], low[chunk, axis])
-            extremes[axis, 1] = max(extremes[axis, 1], high[chunk, axis])
+                _weights(
+                    mono, work, affine[axis], num[axis], den[axis], newton, axis, w,
+                    facts[chunk, axis],
+                )  # fmt: skip
+            _add(mono, w, sizes, newton, part[chunk])
+    sums, squares, extremes = np.zeros((2, 5, size)), np.zeros(2), np.ones((2, 2))
+    for axis in range(2):
+        extremes[axis, 0] = facts[:, axis, 1].min()
+        extremes[axis, 1] = facts[:, axis, 2].max()
+        for chunk in range(_CHUNKS):
+            squares[axis] += facts[chunk, axis, 0]
+            for i in range(5):
+                sums[axis, i] += part[chunk, 2 * i + axis]
     return sums, squares, extremes
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def _load(
+    x: FloatArray,
+    target: FloatArray,
+    weight: FloatArray,
+    begin: int,
+    used: int,
+    points: FloatArray,
+    work: FloatArray,
+) -> None:
+    """Copy a block; the last one is filled up with its first point, of weight zero."""
+    for b in range(_BLOCK):
+        at = begin + (b if b < used else 0)
+        for k in range(3):
+            points[k, b] = x[k, at]
+        for axis in range(2):
+            work[axis, b] = target[axis, at]
+            work[2 + axis, b] = weight[axis, at] if b < used else 0.0
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def _monomials(
+    points: FloatArray, parent: IntArray, variable: IntArray, mono: FloatArray
+) -> None:
+    mono[0] = 1.0
+    for j in range(1, mono.shape[0]):
+        factor, other = points[variable[j]], mono[parent[j]]
+        for b in range(_BLOCK):
+            mono[j, b] = factor[b] * other[b]
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def _weights(
+    mono: FloatArray,
+    work: FloatArray,
+    affine: FloatArray,
+    num: FloatArray,
+    den: FloatArray,
+    newton: bool,
+    axis: int,
+    w: FloatArray,
+    facts: FloatArray,
+) -> None:
+    """Put the five weights of a block into `w`, and Σ p e² and the extremes of D into `facts`."""
+    r, p, top, bottom = work[axis], work[2 + axis], work[4], work[5]
+    for b in range(_BLOCK):
+        top[b], bottom[b] = r[b], 1.0
+    if newton:
+        top[:] = 0.0
+        bottom[:] = 0.0
+        for j in range(20):
+            for b in range(_BLOCK):
+                top[b] += num[j] * mono[j, b]
+                bottom[b] += den[j] * mono[j, b]
+    square, least, most = 0.0, np.inf, -np.inf
+    for b in range(_BLOCK):
+        f = top[b] / bottom[b]
+        delta = f - affine[0] - affine[1] * mono[1, b]
+        delta -= affine[2] * mono[2, b] + affine[3] * mono[3, b]
+        e = r[b] - f
+        share = p[b] / bottom[b]
+        plain = share / bottom[b]
+        w[axis, b] = plain
+        w[2 + axis, b] = plain * delta
+        w[4 + axis, b] = plain * delta * delta
+        w[6 + axis, b] = share * e
+        w[8 + axis, b] = share * e * delta
+        square += p[b] * e * e
+        least, most = min(least, bottom[b]), max(most, bottom[b])
+    facts[0] += square
+    facts[1], facts[2] = min(facts[1], least), max(facts[2], most)
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def _add(mono: FloatArray, w: FloatArray, sizes: IntArray, newton: bool, part: FloatArray) -> None:
+    """Add a block's weighted monomials; each is read once for as many weights as need it."""
+    for j in range(sizes[2]):
+        a = b = c = d = e = f = 0.0
+        for i in range(_BLOCK):
+            m = mono[j, i]
+            a += m * w[0, i]
+            b += m * w[1, i]
+            c += m * w[2, i]
+            d += m * w[3, i]
+            e += m * w[4, i]
+            f += m * w[5, i]
+        part[0, j] += a
+        part[1, j] += b
+        part[2, j] += c
+        part[3, j] += d
+        part[4, j] += e
+        part[5, j] += f
+    for j in range(sizes[2], sizes[0]):
+        a = b = c = d = 0.0
+        for i in range(_BLOCK):
+            m = mono[j, i]
+            a += m * w[0, i]
+            b += m * w[1, i]
+            c += m * w[2, i]
+            d += m * w[3, i]
+        part[0, j] += a
+        part[1, j] += b
+        part[2, j] += c
+        part[3, j] += d
+    if newton:
+        for j in range(sizes[3]):
+            a = b = c = d = 0.0
+            for i in range(_BLOCK):
+                m = mono[j, i]
+                a += m * w[6, i]
+                b += m * w[7, i]
+                c += m * w[8, i]
+                d += m * w[9, i]
+            part[6, j] += a
+            part[7, j] += b
+            part[8, j] += c
+            part[9, j] += d
 
 
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")

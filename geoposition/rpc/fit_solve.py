@@ -1,35 +1,37 @@
 """Two ratios of cubics through points: linear start, Gauss-Newton steps, uncertainty.
 
-Each target r is N/D = (a·(1 + q) + M) / (1 + q + c): a is the affine function nearest to r, M a
-full cubic, q the denominator's terms below the highest degree and c those of the highest.
-D times the residual is linear in M, q and c,
+Three rules keep coefficients tame. The damping of what the points do not determine is chosen
+from the data (`fit_ridge`). A denominator that still leaves `SOUND` at some point is damped more.
+And where a residual remains that the ratio cannot follow, points are reweighted by it a few
+times (Lawson's step), which trades a little of the mean square for a much smaller maximum.
 
-    M − δ q − r c = δ,  δ = r − a,
-
-and its small columns stay small: what makes RPC columns nearly dependent, r ≈ a, is gone by
-algebra, so that normal equations are accurate enough. Gauss-Newton steps on the true residual
-r − N/D have the same columns with N/D in the place of r.
-
-*Source*: linear start: Tao and Hu (2001), "A comprehensive study of the rational function model
-for photogrammetric processing", eq. 7 to 9; the substitution is ours.
+*Source*: reweighting: Rice and Usow (1968), "The Lawson algorithm and extensions", eq. 2.3.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
 from geoposition.arrays import FloatArray, IntArray
 from geoposition.errors import GeometryError
-from geoposition.rpc.fit_basis import count, legendre, products, recipe, times_affine
-from geoposition.rpc.fit_kernels import moments
-from geoposition.rpc.fit_ridge import Damped, Normal, symmetric_inverse
+from geoposition.rpc.fit_basis import count, recipe
+from geoposition.rpc.fit_columns import Columns, affine_parts, moment_sizes
+from geoposition.rpc.fit_kernels import moments, residuals
+from geoposition.rpc.fit_ridge import Damped
 
 Denominators = Literal["separate", "equal"]
 
+SOUND: Final = (0.8, 1.25)
+"""Denominators stay within this range of their mean where the points are."""
+
 _STEPS = 3
+_REWEIGHTS = 4
+_LEAST_WEIGHT = 0.05
+_TINY = 1e-300
+_STRONGEST = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,143 +39,191 @@ class Ratios:
     """Two ratios of cubics in x: `num` and `den` (2, 20), of monomials in RPC00B order.
 
     `strength` (2) is the damping chosen, `den_range` (2, 2) holds each denominator's extremes
-    at the points, `rms` (2) the residual in targets, `effective` (2) the number of parameters
-    that the points determine. `covariance` (2, 40, 40) is of (num, den).
+    at the points, `residual` (2, n) is what is left, in targets, `effective` (2) the number of
+    parameters that the points determine. `covariance` (2, 40, 40) is of (num, den).
     """
 
     num: FloatArray
     den: FloatArray
     strength: FloatArray
     den_range: FloatArray
-    rms: FloatArray
+    residual: FloatArray
     effective: FloatArray
     covariance: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class _Columns:
-    """Columns of one target's equations: polynomials P + δ Q (rows), and what they add to N, D."""
+class FitOptions:
+    """How to fit: see `fit_model`. `floor` is a residual, in units, of no importance.
 
-    p: FloatArray
-    q: FloatArray
-    to_num: FloatArray
-    to_den: FloatArray
+    `rows` is how many of the residuals are independent (None: all). `damp_numerators` damps
+    numerators beyond their affine part, too: for few points, with errors.
+    """
+
+    degree: int = 3
+    denominators: Denominators = "separate"
+    floor: float = 1e-5
+    rows: int | None = None
+    damp_numerators: bool = False
+    minimise_maximum: bool = True
 
 
 def fit_ratios(
     x: FloatArray,
     target: FloatArray,
     unit: FloatArray,
-    floor: float,
-    degree: int = 3,
-    denominators: Denominators = "separate",
+    options: FitOptions,
     weight: FloatArray | None = None,
-    damp_numerators: bool = False,
-    least_strength: float = 0.0,
 ) -> Ratios:
-    """Fit two targets (2, n) as ratios of polynomials of `degree` in `x` (3, n) within ±1.
+    """Fit two targets (2, n) as ratios of polynomials in `x` (3, n), which is within ±1.
 
-    Parameters
-    ----------
-    unit
-        What 1 is worth in each target, (2).
-    floor
-        Root-mean-square residual, in that unit, that is not worth a larger coefficient.
-    weight
-        Weights (n) of the points' squares.
-    damp_numerators
-        Damp the numerators beyond their affine part, too: for few points, with errors.
-    least_strength
-        The least damping to be chosen.
+    `unit` (2) is what 1 is worth in each target; `weight` (n) weights the points' squares. A
+    `GeometryError` where no sound ratio follows the points.
     """
-    n = x.shape[1]
-    weight = np.ones((2, n)) if weight is None else np.tile(weight, (2, 1))
-    affine = _affine(x, target, weight)
-    columns = [_columns(a, degree) for a in affine]
-    maps = _maps(count(degree), len(columns[0].p), denominators)
-    free = np.zeros(len(columns[0].p), dtype=bool)
-    free[: count(1) if damp_numerators else count(degree)] = True
-    total = weight.sum(axis=1)
-    sizes = np.array([count(2 * degree + 2), count(2 * degree + 1), count(2 * degree),
-                      count(degree + 1), count(degree)])  # fmt: skip
-    num, den, strength = np.zeros((2, 20)), np.zeros((2, 20)), np.zeros(2)
-    den[:, 0] = 1.0
-    for step in range(_STEPS + 1):
-        sums, squares, den_range = moments(
-            x, target, weight, affine, num, den, step > 0, *recipe(), sizes
+    given = np.ones(x.shape[1]) if weight is None else weight / weight.mean()
+    fit = _Fit(x, target, unit, options, given)
+    weights = np.stack([given, given])
+    fit.iterate(weights, _STEPS)
+    while fit.unsound().any():
+        if fit.strength[fit.unsound()].min() > _STRONGEST:
+            raise GeometryError("RPC fit: no denominator without zeros follows the points")
+        fit.least = np.where(fit.unsound(), 10.0 * fit.strength, fit.least)
+        fit.restart()
+        fit.iterate(weights, _STEPS)
+    if options.minimise_maximum:
+        fit.reweight(weights)
+    return fit.result(weights)
+
+
+class _Fit:
+    """State of one fit: ratios, their damping, the denominators' extremes."""
+
+    def __init__(
+        self,
+        x: FloatArray,
+        target: FloatArray,
+        unit: FloatArray,
+        options: FitOptions,
+        weight: FloatArray,
+    ):
+        degree = options.degree
+        self.x, self.target, self.unit, self.options = x, target, unit, options
+        self.affine = affine_parts(x, target, weight)
+        self.columns = [Columns.of(a, degree) for a in self.affine]
+        self.systems = _systems(
+            count(degree), len(self.columns[0].p), options.denominators == "equal"
         )
+        self.free = np.zeros(len(self.columns[0].p), dtype=bool)
+        self.free[: count(1 if options.damp_numerators else degree)] = True
+        self.least, self.strength = np.zeros(2), np.zeros(2)
+        self.den_range = np.ones((2, 2))
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the ratios: steps from unsound ones lead nowhere."""
+        self.num, self.den = np.zeros((2, 20)), np.zeros((2, 20))
+        self.den[:, 0] = 1.0
+        self.started = False
+
+    def damped(self, weights: FloatArray) -> list[Damped]:
+        """Systems of equations around the present ratios."""
+        degree = self.options.degree
+        sums, squares, self.den_range = moments(
+            self.x, self.target, weights, self.affine, self.num, self.den, self.started,
+            *recipe(), moment_sizes(degree),
+        )  # fmt: skip
+        total = weights.sum(axis=1)
         normal = [
-            _normal(columns[i], sums[i] / total[i], squares[i] / total[i], unit[i], degree)
-            for i in range(2)
+            self.columns[i].normal(sums[i] / total[i], squares[i] / total[i], unit, degree)
+            for i, unit in enumerate(self.unit)
         ]
-        if step == _STEPS:
-            break
-        for group in maps:
-            system = Damped.of([normal[i] for i in group], list(group.values()), free, n)
-            strength[list(group)] = chosen = system.strength(floor, least_strength)
-            found = system.solve(chosen)
-            for i, places in group.items():
-                num[i] = columns[i].to_num @ found[places]
-                num[i, :4] += affine[i]
-                den[i] = columns[i].to_den @ found[places]
-                den[i, 0] += 1.0
-        if not (np.all(np.isfinite(num)) and np.all(np.isfinite(den))):
-            raise GeometryError("RPC fit: the points determine no ratio of polynomials")
-    effective, covariance = np.zeros(2), np.zeros((2, 40, 40))
-    for group in maps:
-        system = Damped.of([normal[i] for i in group], list(group.values()), free, n)
-        mean_square = sum(squares[i] / total[i] * unit[i] ** 2 for i in group)
-        used, whole = system.covariance(float(strength[next(iter(group))]), mean_square)
-        for i, places in group.items():
-            effective[i] = used / len(group)
-            to = np.concatenate([columns[i].to_num, columns[i].to_den])
-            covariance[i] = to @ whole[np.ix_(places, places)] @ to.T
-    return Ratios(num, den, strength, den_range, np.sqrt(squares / total), effective, covariance)
+        rows = self.options.rows or self.x.shape[1]
+        return [
+            Damped.of([normal[i] for i in system], list(system.values()), self.free, rows)
+            for system in self.systems
+        ]
+
+    def iterate(self, weights: FloatArray, steps: int, choose: bool = True) -> None:
+        """Take `steps` Gauss-Newton steps, the first from nothing a linear one."""
+        for _ in range(steps):
+            for system, damped in zip(self.systems, self.damped(weights), strict=True):
+                targets = list(system)
+                if choose:
+                    least = float(self.least[targets].max())
+                    self.strength[targets] = damped.strength(self.options.floor, least)
+                found = damped.solve(float(self.strength[targets[0]]))
+                for i, places in system.items():
+                    self.num[i], self.den[i] = self.columns[i].ratio(found[places])
+            if not (np.all(np.isfinite(self.num)) and np.all(np.isfinite(self.den))):
+                raise GeometryError("RPC fit: the points determine no ratio of polynomials")
+            self.started = True
+
+    def unsound(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Tell which denominators leave the sound range at some point."""
+        values = np.array([self.den_range[:, 0].min(), self.den_range[:, 1].max()])
+        low, high = self.den_range.T
+        if self.options.denominators == "equal":
+            low, high = np.full(2, values[0]), np.full(2, values[1])
+        result: np.ndarray[tuple[int], np.dtype[np.bool_]] = ~(
+            (low >= SOUND[0]) & (high <= SOUND[1])
+        )
+        return result
+
+    def residual(self) -> FloatArray:
+        out = np.empty(self.target.shape)
+        residuals(self.x, self.target, self.num, self.den, out)
+        return out
+
+    def reweight(self, weights: FloatArray) -> None:
+        """Reweight by the residual, and keep the ratios with the least maximum times rms."""
+        given = weights.copy()
+        residual = self.residual()
+        best, least = (self.num.copy(), self.den.copy()), self._score(residual, given)
+        if not np.any(np.abs(residual).max(axis=1) * self.unit > 100.0 * self.options.floor):
+            return
+        for _ in range(_REWEIGHTS):
+            size = np.abs(residual)
+            size /= np.sqrt((given * size**2).mean(axis=1, keepdims=True)) + _TINY
+            weights *= size + _LEAST_WEIGHT
+            weights /= weights.mean(axis=1, keepdims=True)
+            self.iterate(weights, 1, choose=False)
+            residual = self.residual()
+            score = self._score(residual, given)
+            for i in np.flatnonzero(score < least):
+                best[0][i], best[1][i], least[i] = self.num[i], self.den[i], score[i]
+        self.num, self.den = best
+        weights[:] = given
+
+    def _score(self, residual: FloatArray, weight: FloatArray) -> FloatArray:
+        score = np.abs(residual).max(axis=1) * np.sqrt((weight * residual**2).mean(axis=1))
+        score *= self.unit**2
+        if self.options.denominators == "equal":
+            score[:] = score.sum()
+        return np.asarray(score)
+
+    def result(self, weights: FloatArray) -> Ratios:
+        """Ratios as they are, with their uncertainty."""
+        systems = self.damped(weights)
+        residual = self.residual()
+        square = (weights * residual**2).mean(axis=1) * self.unit**2
+        effective, covariance = np.zeros(2), np.zeros((2, 40, 40))
+        for system, damped in zip(self.systems, systems, strict=True):
+            targets = list(system)
+            used, whole = damped.covariance(
+                float(self.strength[targets[0]]), float(square[targets].sum())
+            )
+            for i, places in system.items():
+                effective[i] = used / len(system)
+                to = np.concatenate([self.columns[i].to_num, self.columns[i].to_den])
+                covariance[i] = to @ whole[np.ix_(places, places)] @ to.T
+        return Ratios(
+            self.num, self.den, self.strength, self.den_range, residual, effective, covariance
+        )
 
 
-def _maps(numerators: int, size: int, denominators: Denominators) -> list[dict[int, IntArray]]:
+def _systems(numerators: int, size: int, equal: bool) -> list[dict[int, IntArray]]:
     """Systems to solve: for each of their targets, the places of its parameters."""
-    if denominators == "separate":
+    if not equal:
         return [{0: np.arange(size)}, {1: np.arange(size)}]
-    shared = np.arange(2 * numerators, numerators + size)
-    own = np.arange(numerators)
+    shared, own = np.arange(2 * numerators, numerators + size), np.arange(numerators)
     return [{i: np.concatenate([own + i * numerators, shared]) for i in range(2)}]
-
-
-def _affine(x: FloatArray, target: FloatArray, weight: FloatArray) -> FloatArray:
-    """Affine functions (2, 4) nearest to the targets."""
-    terms = np.concatenate([np.ones((1, x.shape[1])), x])
-    weighted = terms * weight[0]
-    gram, right = weighted @ terms.T, weighted @ target.T
-    result: FloatArray = (symmetric_inverse(gram) @ right).T
-    return np.ascontiguousarray(result)
-
-
-def _columns(affine: FloatArray, degree: int) -> _Columns:
-    basis = legendre(degree)
-    size, below = count(degree), count(degree - 1)
-    pad = np.zeros((size, count(degree + 1) - size))
-    plain = np.concatenate([basis, pad], axis=1)
-    times = times_affine(basis, affine)
-    low, high = slice(1, below), slice(below, size)
-    p = np.concatenate([plain, np.zeros_like(plain[low]), -times[high]])
-    q = np.concatenate([np.zeros_like(basis), -basis[low], -basis[high]])
-    to_num, to_den = np.zeros((20, len(p))), np.zeros((20, len(p)))
-    to_num[:size, :size] = basis.T
-    to_num[:size, size : size + below - 1] = times[low, :size].T
-    to_den[:size, size:] = basis[1:].T
-    return _Columns(p, q, to_num, to_den)
-
-
-def _normal(
-    columns: _Columns, sums: FloatArray, square: float, unit: float, degree: int
-) -> Normal:
-    """Normal equations of one target from its mean moments (5, n), in units."""
-    top, low = count(degree + 1), count(degree)
-    p, q = columns.p, columns.q
-    across = p @ sums[1][products(top, low)] @ q.T
-    gram = p @ sums[0][products(top, top)] @ p.T + across + across.T
-    gram += q @ sums[2][products(low, low)] @ q.T
-    right = p @ (sums[1, :top] + sums[3, :top]) + q @ (sums[2, :low] + sums[4, :low])
-    whole = sums[2, 0] + 2.0 * sums[4, 0] + square
-    return Normal(unit**2 * gram, unit**2 * right, float(unit**2 * whole))

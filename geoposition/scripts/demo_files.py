@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,10 @@ def _tie_columns(*groups: Measured) -> dict[str, Any]:
 
 
 def as_json(result: DemoResult) -> dict[str, object]:
-    """Every figure of the report by name; the same for the same seed and version."""
+    """Every figure of the report by name, to six decimals; the same for the same seed.
+
+    What is cut off is rounding: it differs with the instructions that the compiler chose.
+    """
     options = asdict(result.options)
     options["scene"]["corrections"] = result.options.scene.corrections.describe()
     scene = result.scene
@@ -87,7 +91,7 @@ def as_json(result: DemoResult) -> dict[str, object]:
             "mounting_error_arcsec": (scene.mounting_error_rad[name] / ARCSEC_RAD).tolist(),
             "footprint_lon_lat_deg": np.round(result.outlines[name], 6).tolist(),
         }
-    return {
+    figures: dict[str, object] = {
         MARK_KEY: 1,
         "version": geoposition.__version__,
         "seed": result.options.seed,
@@ -114,6 +118,18 @@ def as_json(result: DemoResult) -> dict[str, object]:
         "single_image": {name: part.as_dict() for name, part in result.single.items()},
         "one_arcsecond": [asdict(line) for line in result.sensitivity],
     }
+    return {name: _rounded(value) for name, value in figures.items()}
+
+
+def _rounded(value: object) -> object:
+    """Return `value` with all its floats to six decimals: micrometres, millionths of a pixel."""
+    if isinstance(value, float):
+        return round(value, 6)
+    if isinstance(value, Mapping):
+        return {name: _rounded(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return value
 
 
 def _intersection(part: Intersection) -> dict[str, object]:

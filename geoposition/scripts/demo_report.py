@@ -205,7 +205,8 @@ def _next(result: DemoResult, folder: str) -> Section:
                         "Project ground points into the backward image:",
                     ),
                     (
-                        f"geoposition intersect {names} --ties ties.csv --gcps gcps.csv -o out.csv",
+                        f"geoposition intersect {names} --ties ties.csv --gcps gcps.csv "
+                        f"--sigma {result.options.image_sigma_px:g} -o out.csv",
                         "Intersect the tie points of all three and compare with the check points:",
                     ),
                 )

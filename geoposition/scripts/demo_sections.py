@@ -97,8 +97,8 @@ def points_section(result: DemoResult) -> Section:
             Note(
                 "The stated sigma carries the image points' noise to the ground and nothing else. "
                 "With true models it agrees with the errors (a ratio near 1); with measured "
-                "models the errors of orbit, attitude and mounting come on top, which neither "
-                "the sigma nor the intersection's residuals show. Check points do."
+                "models the errors of orbit, attitude and mounting come on top. The sigma does "
+                "not show them, the intersection's residuals only in part. Check points do."
             ),
         ),
     )

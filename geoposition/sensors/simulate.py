@@ -283,4 +283,5 @@ def _first_line_s(
     if found.flag != Flag.OK:
         raise GeometryError(f"scene: the {design.name} camera never sees the scene's centre")
     seen_s = start_s + float(found.image_px[0]) * _SEARCH_STEP_S
-    return seen_s - 0.5 * (design.lines - 1) * design.line_period_s
+    # Whole nanoseconds, as time tags have: rounding in compiled code cannot change the scene.
+    return round(seen_s - 0.5 * (design.lines - 1) * design.line_period_s, 9)

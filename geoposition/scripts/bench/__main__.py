@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -61,6 +62,17 @@ def run(
 ) -> tuple[dict[str, Any], list[CaseResult]]:
     """Measure the `groups`; the facts about the run, and the cases' results."""
     logging.disable(logging.WARNING)  # the peers talk
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return _run(data, quick, repeats, groups)
+    finally:
+        logging.disable(logging.NOTSET)
+
+
+def _run(
+    data: Path | None, quick: bool, repeats: int, groups: tuple[str, ...]
+) -> tuple[dict[str, Any], list[CaseResult]]:
     sizes = cases.QUICK if quick else cases.FULL
     results: list[CaseResult] = []
     found: dict[str, Any] = {

@@ -140,7 +140,8 @@ def rpc_cases(scene: RpcScene, sizes: Sizes) -> Iterator[Case]:
     roi = [float(south), float(west), float(north), float(east)]
     yield replace(
         case,
-        tolerance=0.1,
+        # shareloc's rays are straight in longitude and latitude: decimetres over much relief
+        tolerance=0.5,
         peers=(peer_shareloc.locate_on_dem(part, scene.dem, scene.geoid, roi, sizes.compiled),),
     )
     yield from _pair_cases(scene, part, sizes)

@@ -157,7 +157,7 @@ def _on_raster(model: Any, dem: Path) -> None:
 
 
 def _gps_epoch(epoch: Epoch) -> tuple[str, float]:
-    """Give a whole second of GPS time before `epoch` as text, and the seconds from it to `epoch`."""
+    """Give a whole second of GPS time before `epoch` as text, and the seconds from there."""
     seconds = epoch.gps_seconds
     whole = int(np.floor(seconds))
     date = datetime(1980, 1, 6) + timedelta(seconds=whole)

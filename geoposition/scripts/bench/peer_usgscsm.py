@@ -2,6 +2,4 @@
 
 from geoposition.scripts.bench.measure import Missing
 
-MISSING = Missing(
-    "usgscsm", "not on PyPI: a C++ library of the conda-forge channel, no Python interface"
-)
+MISSING = Missing("usgscsm", "not on PyPI: a C++ library, packaged for conda only")

@@ -21,7 +21,7 @@ def command(
     """Simulate a three-line scene, intersect and locate its points, and report how good it is.
 
     Writes report.html, demo.json, the models, tie points, check points and DEM, ready for the
-    other commands. Takes some ten seconds; the first run also compiles, about a minute.
+    other commands. Takes some ten seconds; the first run also compiles, a minute or two.
 
     Example: geoposition demo --out my-demo
     """
