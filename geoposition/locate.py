@@ -19,12 +19,13 @@ from numpy.typing import ArrayLike
 from geoposition.arrays import FlagArray, FloatArray, as_components
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import ArgumentError
-from geoposition.flags import Flag, has_result
+from geoposition.flags import Flag
 from geoposition.raster_terrain import RasterTerrain
 from geoposition.rays import Rays
 from geoposition.sensor_model import GroundPoints, SensorModel
 from geoposition.terrain import ConstantTerrain, Terrain
 from geoposition.terrain_bending import fit_bend
+from geoposition.terrain_series import Bend
 
 Progress: TypeAlias = Callable[[int, int], None]
 
@@ -32,6 +33,8 @@ LATERAL_TOLERANCE_M: Final = 1e-4
 _MOST_PASSES: Final = 12
 _SAMPLE: Final = 64
 _MANY: Final = 5000
+"""Fewer points are located one by one: the fit costs more than it saves."""
+_FEW: Final = 500
 _LEAST_RATE: Final = 1e-9
 """Metres aside per metre of height that any model is supposed to bend, against division by 0."""
 
@@ -66,31 +69,32 @@ def locate(
     geodetic = np.full((len(flat), 3), np.nan)
     flag: FlagArray = np.empty(len(flat), dtype=np.uint8)
     guess_m = 0.5 * (model.height_range_m[0] + model.height_range_m[1])
+    bend = None
+    if isinstance(terrain, RasterTerrain) and len(flat) >= _MANY:
+        bend = _fitted(model, flat, terrain, guess_m)
     for start in range(0, len(flat), chunk):
         part = slice(start, min(start + chunk, len(flat)))
-        geodetic[part], flag[part] = _best(model, flat[part], terrain, guess_m)
-        found = geodetic[part][has_result(flag[part]), 2]
-        if found.size:
-            guess_m = float(np.median(found))
+        result = None
+        if isinstance(terrain, RasterTerrain) and part.stop - part.start >= _FEW:
+            if bend is not None:
+                result = _locate_bent(model, flat[part], terrain, bend)
+            if result is None and bend is not None and chunk < len(flat):
+                # the fit over all points does not do here: one for this chunk may
+                bend_here = _fitted(model, flat[part], terrain, guess_m)
+                if bend_here is not None:
+                    result = _locate_bent(model, flat[part], terrain, bend_here)
+        if result is None:
+            result = _locate(model, flat[part], terrain, guess_m)
+        geodetic[part], flag[part] = result
         if progress is not None:
             progress(part.stop, len(flat))
     return GroundPoints(geodetic.reshape(*shape, 3), flag.reshape(shape))
 
 
-def _best(
-    model: SensorModel, image_px: FloatArray, terrain: Terrain, guess_m: float
-) -> tuple[FloatArray, FlagArray]:
-    if isinstance(terrain, RasterTerrain) and len(image_px) >= _MANY:
-        bent = _locate_bent(model, image_px, terrain, guess_m)
-        if bent is not None:
-            return bent
-    return _locate(model, image_px, terrain, guess_m)
-
-
-def _locate_bent(
+def _fitted(
     model: SensorModel, image_px: FloatArray, terrain: RasterTerrain, guess_m: float
-) -> tuple[FloatArray, FlagArray] | None:
-    """Follow rays of fitted bending; none where the model does not confirm the result."""
+) -> Bend | None:
+    """Fit how rays bend over the box of `image_px` and the heights that some of them find."""
     pick = np.linspace(0, len(image_px) - 1, _SAMPLE).astype(np.int64)
     few, _ = _locate(model, image_px[pick], terrain, guess_m)
     known = few[np.isfinite(few[:, 2]), 2]
@@ -98,25 +102,27 @@ def _locate_bent(
         return None
     low, high = float(known.min()), float(known.max())
     slack = 0.3 * (high - low) + 50.0
-    middle_m = 0.5 * (low + high)
-    bend = fit_bend(model, image_px, middle_m, low - slack, high + slack)
-    if bend is None:
-        return None
-    rays = model.rays(image_px, middle_m)
+    return fit_bend(model, image_px, 0.5 * (low + high), low - slack, high + slack)
+
+
+def _locate_bent(
+    model: SensorModel, image_px: FloatArray, terrain: RasterTerrain, bend: Bend
+) -> tuple[FloatArray, FlagArray] | None:
+    """Follow rays of fitted bending; none where the model does not confirm the result."""
+    bend = bend._replace(image_px=np.ascontiguousarray(image_px))
+    rays = model.rays(image_px, bend.height_m)
     crossing = terrain.first_crossing(rays, bend=bend)
     geodetic, flag = crossing.geodetic, crossing.flag
-    height_m = geodetic[:, 2]
     found = np.flatnonzero(flag == Flag.OK)
     if found.size:
-        extremes = found[[np.argmin(height_m[found]), np.argmax(height_m[found])]]
-        spread = found[np.linspace(0, len(found) - 1, _SAMPLE).astype(np.int64)]
-        check = np.concatenate([extremes, spread])
-        exact = model.image_to_ground(image_px[check], height_m[check]).geodetic
+        height_m = geodetic[found, 2]
+        spread = np.linspace(0, len(found) - 1, _SAMPLE).astype(np.int64)
+        check = found[np.concatenate([[np.argmin(height_m), np.argmax(height_m)], spread])]
+        exact = model.image_to_ground(image_px[check], geodetic[check, 2]).geodetic
         off = geodetic_to_ecef(exact) - geodetic_to_ecef(geodetic[check])
         if not np.max(np.linalg.norm(off, axis=-1)) <= LATERAL_TOLERANCE_M:
             return None
-    aside = rays.flag == Flag.OUTSIDE_IMAGE
-    flag[aside & (flag == Flag.OK)] = Flag.OUTSIDE_IMAGE
+    flag[(rays.flag == Flag.OUTSIDE_IMAGE) & (flag == Flag.OK)] = Flag.OUTSIDE_IMAGE
     return geodetic, flag
 
 

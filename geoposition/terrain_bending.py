@@ -22,16 +22,16 @@ def fit_bend(
 ) -> Bend | None:
     """Fit the offset of `model`'s points from its straight rays of `height_m`.
 
-    Over the box of `image_px` (n, 2) and heights `low_m` .. `high_m`; none where the model
-    answers for too little of that. How well it fits is for the caller to check.
+    Over the box of `image_px` (n, 2), which is not kept, and heights `low_m` .. `high_m`; none
+    where the model answers for too little of that. How well it fits is for the caller to check.
     """
-    finite = image_px[np.all(np.isfinite(image_px), axis=1)]
-    if not len(finite):
+    if not len(image_px):
         return None
     # points that the model does not answer for must not stretch the box
     margin = 0.05 * np.array(model.shape) + 1.0
-    low = np.maximum(finite.min(axis=0), -margin)
-    high = np.minimum(finite.max(axis=0), np.array(model.shape) + margin)
+    limit = np.array(model.shape) + margin
+    low = np.clip(np.fmin.reduce(image_px, axis=0), -margin, limit)
+    high = np.clip(np.fmax.reduce(image_px, axis=0), -margin, limit)
     centre, scale = 0.5 * (low + high), 1.0 / np.maximum(0.5 * (high - low), 1.0)
     unit = np.linspace(-1.0, 1.0, _GRID)
     levels = np.linspace(low_m, high_m, _HEIGHTS)
@@ -51,6 +51,4 @@ def fit_bend(
     solution = np.linalg.lstsq(matrix, offset, rcond=1e-10)[0].reshape(2, 10, 3)
     solution[0] /= extent
     solution[1] /= extent**2
-    return Bend(
-        np.ascontiguousarray(image_px), np.ascontiguousarray(solution), centre, scale, height_m
-    )
+    return Bend(np.zeros((0, 2)), np.ascontiguousarray(solution), centre, scale, height_m)

@@ -38,7 +38,8 @@ class Damped:
 
     `values` (d) and `vectors` (d, d) decompose the reduced matrix, `right` (d) is the reduced
     right side in eigenvectors, `square` what remains without damped parameters. `lift` gives
-    the free parameters: lift[:, -1] − lift[:, :-1] damped. `rows` counts the equations.
+    the free parameters: lift[:, -1] − lift[:, :-1] damped; `inverse` is that of the free block.
+    `rows` counts the equations.
     """
 
     gram: FloatArray
@@ -48,6 +49,7 @@ class Damped:
     right: FloatArray
     square: float
     lift: FloatArray
+    inverse: FloatArray
     rows: int
 
     @classmethod
@@ -71,7 +73,7 @@ class Damped:
         square = sum(normal.square for normal in normals) - float(right[is_free] @ lift[:, -1])
         return cls(
             gram, is_free, np.maximum(values, 0.0), vectors, rest, max(square, 0.0), lift,
-            points * len(normals),
+            inverse, points * len(normals),
         )  # fmt: skip
 
     def strength(self, floor: float, least: float) -> float:
@@ -103,7 +105,13 @@ class Damped:
         """Effective number of parameters, and the covariance for a mean squared residual."""
         used = float(self.free.sum() + (self.values / (self.values + strength)).sum())
         variance = mean_square / max(self.rows - used, 1.0)
-        inverse = symmetric_inverse(self.gram + np.diag(np.where(self.free, 0.0, strength)))
+        lift = self.lift[:, :-1]
+        damped = (self.vectors / (self.values + strength)) @ self.vectors.T
+        inverse = np.empty_like(self.gram)
+        inverse[np.ix_(~self.free, ~self.free)] = damped
+        inverse[np.ix_(self.free, ~self.free)] = across = -lift @ damped
+        inverse[np.ix_(~self.free, self.free)] = across.T
+        inverse[np.ix_(self.free, self.free)] = self.inverse - across @ lift.T
         return used, variance * inverse @ self.gram @ inverse
 
 

@@ -27,7 +27,8 @@ Denominators = Literal["separate", "equal"]
 SOUND: Final = (0.8, 1.25)
 """Denominators stay within this range of their mean where the points are."""
 
-_STEPS = 3
+_STEPS = 5
+_SETTLED = 1e-4
 _REWEIGHTS = 4
 _LEAST_WEIGHT = 0.05
 _TINY = 1e-300
@@ -146,6 +147,7 @@ class _Fit:
     def iterate(self, weights: FloatArray, steps: int, choose: bool = True) -> None:
         """Take `steps` Gauss-Newton steps, the first from nothing a linear one."""
         for _ in range(steps):
+            before = self.den.copy()
             for system, damped in zip(self.systems, self.damped(weights), strict=True):
                 targets = list(system)
                 if choose:
@@ -156,7 +158,10 @@ class _Fit:
                     self.num[i], self.den[i] = self.columns[i].ratio(found[places])
             if not (np.all(np.isfinite(self.num)) and np.all(np.isfinite(self.den))):
                 raise GeometryError("RPC fit: the points determine no ratio of polynomials")
+            still = self.started and np.abs(self.den - before).max() < _SETTLED
             self.started = True
+            if still:
+                return
 
     def unsound(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Tell which denominators leave the sound range at some point."""

@@ -11,7 +11,7 @@ import numpy as np
 from geoposition.accuracy import point_statistics
 from geoposition.errors import ArgumentError, GeometryError, ProductError
 from geoposition.flags import Flag, flag_labels, has_result
-from geoposition.matching import match_pair
+from geoposition.matching import match_images
 from geoposition.matching_image import ImageSource, open_image
 from geoposition.observations import TiePoints
 from geoposition.product import Product
@@ -26,6 +26,10 @@ from geoposition.triangulate_bias import RelativeBias, relative_bias
 
 SUFFIXES = tuple(sorted({".csv", *PARQUET_SUFFIXES, *VECTOR_DRIVERS}))
 
+_FIRST_SIGMA_PX = 0.5
+_LEAST_SIGMA_PX = 0.01
+"""No measurement of image points is better, however well synthetic ones agree."""
+
 
 @dataclass(frozen=True, slots=True)
 class StereoRun:
@@ -38,27 +42,11 @@ class StereoRun:
 def match_products(
     products: Sequence[Product], images: Sequence[Path], progress: Progress
 ) -> TiePoints:
-    """Tie points of each product with the first; points of several pairs stay apart."""
+    """Tie points of all products, found in their images."""
     if images and len(images) != len(products):
         raise ArgumentError(f"--image: one for each of {len(products)} products expected")
-    sources = [
-        _image(product, images[i] if images else None) for i, product in enumerate(products)
-    ]
-    parts = []
-    for second in range(1, len(products)):
-        pair = match_pair(
-            sources[0], products[0].model, sources[second], products[second].model, None, progress
-        )
-        parts.append((second, pair))
-    ids = [
-        np.char.add(f"{second}-" if len(products) > 2 else "", pair.ids.astype(np.str_))
-        for second, pair in parts
-    ]
-    return TiePoints(
-        np.concatenate(ids),
-        np.concatenate([np.where(pair.product == 0, 0, second) for second, pair in parts]),
-        np.concatenate([pair.image_px for _, pair in parts]),
-    )
+    sources = [_image(product, images[i] if images else None) for i, product in enumerate(products)]
+    return match_images(sources, [product.model for product in products], progress=progress)
 
 
 def _image(product: Product, path: Path | None) -> ImageSource:
@@ -75,13 +63,23 @@ def _image(product: Product, path: Path | None) -> ImageSource:
 def intersect(
     products: Sequence[Product],
     ties: TiePoints,
-    sigma_px: float,
+    sigma_px: float | None,
     checks: Checks | None,
     progress: Progress,
 ) -> StereoRun:
-    """Triangulate the ties and describe the result."""
+    """Triangulate the ties and describe the result.
+
+    Without `sigma_px` the image points' standard deviation is taken from the scatter of the
+    residuals about each image's bias.
+    """
     models = [product.model for product in products]
-    points = triangulate(models, ties, sigma_px, progress=progress)
+    points = triangulate(models, ties, sigma_px or _FIRST_SIGMA_PX, progress=progress)
+    biases = relative_bias(ties, points)
+    if sigma_px is None:
+        noise = [bias.noise_px for bias in biases if np.isfinite(bias.noise_px)]
+        sigma_px = float(np.sqrt(np.mean(np.square(noise)))) if noise else 0.0
+        sigma_px = max(sigma_px, _LEAST_SIGMA_PX)
+        points = triangulate(models, ties, sigma_px, progress=progress)
     good = points.flag == Flag.OK
     if not np.any(has_result(points.flag)):
         reasons = ", ".join(f"{n} {name}" for name, n in flag_counts(points.flag).items())
@@ -96,13 +94,14 @@ def intersect(
             "median": float(np.median(residual)) if good.any() else None,
             "p95": float(np.percentile(residual, 95)) if good.any() else None,
         },
+        "sigma_px": sigma_px,
         "convergence_deg": float(np.degrees(np.nanmedian(points.convergence_rad))),
         "height_m": {
             "median": float(np.nanmedian(points.geodetic[:, 2])),
             "min": float(np.nanmin(points.geodetic[:, 2])),
             "max": float(np.nanmax(points.geodetic[:, 2])),
         },
-        "relative_bias_px": [_bias(bias) for bias in relative_bias(ties, points)],
+        "relative_bias_px": [_bias(bias) for bias in biases],
     }
     if checks is not None:
         summary |= _check(points, checks)

@@ -117,9 +117,7 @@ def write_table(path: Path, columns: Mapping[str, Column]) -> None:
 def _needs_quotes(columns: Mapping[str, Column]) -> bool:
     """Tell whether some text holds what separates cells; Arrow would quote every text."""
     texts = [values for values in columns.values() if values.dtype.kind == "U"]
-    return any(
-        np.any(np.strings.find(values, mark) >= 0) for values in texts for mark in ',"\r\n'
-    )
+    return any(np.any(np.strings.find(values, mark) >= 0) for values in texts for mark in ',"\r\n')
 
 
 def write_points(path: Path, columns: Mapping[str, Column]) -> None:

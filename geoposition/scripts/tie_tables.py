@@ -41,13 +41,13 @@ def _product_numbers(path: Path, names: Column, products: Sequence[Path]) -> Int
             seen.setdefault(spelled(product), []).append(i)
         numbers |= {name: where[0] for name, where in seen.items() if len(where) == 1}
     numbers = {str(i): i for i in range(len(products))} | numbers
-    unique, inverse = np.unique(np.char.strip(np.asarray(names, dtype=np.str_)), return_inverse=True)
+    unique, inverse = np.unique(
+        np.char.strip(np.asarray(names, dtype=np.str_)), return_inverse=True
+    )
     unknown = [name for name in unique if name not in numbers]
     if unknown:
         known = ", ".join(dict.fromkeys([*map(str, range(len(products))), *map(str, products)]))
-        raise ProductError(
-            path, f"product {str(unknown[0])!r}", f"one of these expected: {known}"
-        )
+        raise ProductError(path, f"product {str(unknown[0])!r}", f"one of these expected: {known}")
     found: IntArray = np.array([numbers[name] for name in unique], dtype=np.int64)[inverse]
     return found
 

@@ -9,9 +9,12 @@ import typer
 
 
 def command(
-    products: Annotated[list[Path], typer.Argument(help="Two or more products of the same ground.")],
+    products: Annotated[
+        list[Path], typer.Argument(help="Two or more products of the same ground.")
+    ],
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="Points to write: .csv, .parquet, .geojson, .gpkg.")
+        Path,
+        typer.Option("-o", "--output", help="Points to write: .csv, .parquet, .geojson, .gpkg."),
     ],
     ties: Annotated[
         Path | None, typer.Option(help="Table id,product,row,col: which point is seen where.")
@@ -24,7 +27,10 @@ def command(
     gcps: Annotated[
         Path | None, typer.Option(help="Table id,lon,lat,height to check the points of the ties.")
     ] = None,
-    sigma: Annotated[float, typer.Option(help="Standard deviation of image points, px.")] = 0.5,
+    sigma: Annotated[
+        float | None,
+        typer.Option(help="Standard deviation of image points, px; from their scatter."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Intersect lines of sight of the same ground points (forward intersection).
