@@ -55,10 +55,14 @@ def ground_sample(model: SensorModel) -> dict[str, object]:
     lines, samples = model.shape
     centre = np.array([0.5 * (lines - 1), 0.5 * (samples - 1)])
     height = float(np.mean(model.height_range_m))
-    points = centre + np.array([[0, 0], [0.5, 0], [-0.5, 0], [0, 0.5], [0, -0.5]])
-    ecef = geodetic_to_ecef(model.image_to_ground(points, height).geodetic)
-    step_row = float(np.linalg.norm(ecef[1] - ecef[2]))
-    step_col = float(np.linalg.norm(ecef[3] - ecef[4]))
+    # Medians over the image: a pair of neighbours may lie on two CCDs.
+    part = np.linspace(0.1, 0.9, 9)
+    inner = np.stack(np.meshgrid(part * (lines - 1), part * (samples - 1)), axis=-1).reshape(-1, 2)
+    step_row, step_col = (
+        float(np.nanmedian(np.linalg.norm(_ecef(model, inner + step, height) - here, axis=-1)))
+        for here in [_ecef(model, inner, height)]
+        for step in ([1.0, 0.0], [0.0, 1.0])
+    )
     ray = model.rays(centre, height)
     ground = model.image_to_ground(centre, height).geodetic
     east, north, up = -ray.direction_ecef @ enu_axes(ground)
@@ -68,6 +72,10 @@ def ground_sample(model: SensorModel) -> dict[str, object]:
         "satellite_zenith_deg": round(float(view[0]), 4),
         "satellite_azimuth_deg": round(float(view[1] % 360.0), 4),
     }
+
+
+def _ecef(model: SensorModel, image_px: FloatArray, height_m: float) -> FloatArray:
+    return geodetic_to_ecef(model.image_to_ground(image_px, height_m).geodetic)
 
 
 def _rigorous(model: PushbroomModel, dated: bool) -> dict[str, object]:
