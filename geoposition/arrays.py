@@ -24,7 +24,10 @@ def read_only(values: ArrayLike) -> FloatArray:
 
 def as_components(values: ArrayLike, n: int, name: str) -> FloatArray:
     """Return `values` as float64 (..., n); anything else is an `ArgumentError`."""
-    array = np.asarray(values, dtype=np.float64)
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"{name}: numbers of shape (..., {n}) expected") from None
     if array.ndim == 0 or array.shape[-1] != n:
         raise ArgumentError(f"{name}: shape (..., {n}) expected, got {array.shape}")
     return array
@@ -33,7 +36,8 @@ def as_components(values: ArrayLike, n: int, name: str) -> FloatArray:
 def require_finite(values: FloatArray, name: str) -> FloatArray:
     """Return `values` unchanged; NaN or infinity in it is an `ArgumentError`."""
     if not np.all(np.isfinite(values)):
-        bad = int(np.argmax(~np.isfinite(values).reshape(len(values), -1).all(axis=1)))
+        rows = np.isfinite(values).reshape(len(values) if values.ndim else 1, -1)
+        bad = int(np.argmax(~rows.all(axis=1)))
         raise ArgumentError(f"{name}: finite numbers expected, entry {bad} is not")
     return values
 

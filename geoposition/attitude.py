@@ -55,7 +55,7 @@ def continuous_unit_quaternions(times_s: ArrayLike, quat_xyzw: ArrayLike) -> Flo
     return read_only(continuous_quat(quats / norms[:, None]))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SlerpCurve:
     """Spherical linear interpolation between samples."""
 
@@ -86,7 +86,7 @@ class SlerpCurve:
         return self.slerp(within_span(times_s, self.span_s, "attitude"))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class RotationSplineCurve:
     """Cubic spline with continuous angular velocity and acceleration through samples."""
 
@@ -117,7 +117,7 @@ class RotationSplineCurve:
         return self.spline(within_span(times_s, self.span_s, "attitude"))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class QuaternionCurve:
     """Quaternion whose components follow a curve, normalised: Lagrange, spline, polynomial."""
 
@@ -152,7 +152,7 @@ class QuaternionCurve:
         return Rotation.from_quat(self.components_xyzw.value(times_s))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class EulerCurve:
     """Rotation from angles that follow a curve: R = R1(a1) R2(a2) R3(a3), intrinsic.
 
@@ -179,7 +179,7 @@ class EulerCurve:
         return Rotation.from_euler(self.sequence, self.angles_rad.value(times_s))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ProductCurve:
     """Two rotations, one after the other: R_a_c(t) = R_a_b(t) R_b_c(t)."""
 
@@ -204,7 +204,7 @@ class ProductCurve:
         return self.outer.rotation(times_s) * self.inner.rotation(times_s)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Attitude:
     """Rotations body to `frame` over a span, at seconds from `epoch`.
 
@@ -234,6 +234,8 @@ class Attitude:
         curve: RotationCurve
         if interpolation == "slerp":
             curve = SlerpCurve.through(times_s, quat_xyzw)
+        elif interpolation != "spline":
+            raise ArgumentError(f"attitude: interpolation slerp or spline, got {interpolation!r}")
         else:
             curve = RotationSplineCurve.through(times_s, quat_xyzw)
         return cls(epoch, curve, frame)

@@ -15,6 +15,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from geoposition.errors import ArgumentError
+
 
 @dataclass(frozen=True, slots=True)
 class Refraction:
@@ -22,6 +24,12 @@ class Refraction:
 
     refractivity: float = 2.77e-4
     scale_height_m: float = 8435.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.refractivity < 0.1:
+            raise ArgumentError(f"refraction: n0 - 1 in 0 .. 0.1 expected, {self.refractivity}")
+        if not 0.0 < self.scale_height_m < 1e6:
+            raise ArgumentError(f"refraction: scale height in m expected, {self.scale_height_m}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ VelocityKind = Literal["earth-fixed", "inertial-on-itrs-axes", "inconsistent"]
 _EARTH_RATE_ECEF = np.array([0.0, 0.0, EARTH_RATE_RAD_S])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Ephemeris:
     """Positions of the satellite over a span.
 
@@ -44,7 +44,8 @@ class Ephemeris:
         points: int = 8,
     ) -> Ephemeris:
         """Lagrange interpolation of `position_m` (n, 3) with `points` neighbours."""
-        return cls(epoch, LagrangeCurve(times_s, position_m, points), frame)  # type: ignore[arg-type]
+        position = as_components(position_m, 3, "positions")
+        return cls(epoch, LagrangeCurve(times_s, position, points), frame)  # type: ignore[arg-type]
 
     @classmethod
     def hermite(
@@ -72,7 +73,8 @@ class Ephemeris:
         cls, epoch: Epoch, times_s: ArrayLike, position_m: ArrayLike, frame: Frame = "itrs"
     ) -> Ephemeris:
         """Cubic spline through `position_m` (n, 3)."""
-        return cls(epoch, SplineCurve.through(times_s, position_m), frame)
+        position = as_components(position_m, 3, "positions")
+        return cls(epoch, SplineCurve.through(times_s, position), frame)
 
     @classmethod
     def polynomial(
@@ -84,7 +86,8 @@ class Ephemeris:
         frame: Frame = "itrs",
     ) -> Ephemeris:
         """Least-squares polynomial of `degree` through `position_m` (n, 3). Source: T 2.7."""
-        return cls(epoch, PolynomialCurve.fit(times_s, position_m, degree), frame)
+        position = as_components(position_m, 3, "positions")
+        return cls(epoch, PolynomialCurve.fit(times_s, position, degree), frame)
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -114,6 +117,8 @@ def velocity_kind(
     """
     position = as_components(position_m, 3, "positions")
     velocity = as_components(velocity_m_s, 3, "velocities")
+    if velocity.shape != position.shape:
+        raise ArgumentError(f"velocities: shape {position.shape} expected, got {velocity.shape}")
     times = np.asarray(times_s, dtype=np.float64)
     rate = LagrangeCurve(times, position, 8).rate(times)
     inner = slice(1, -1) if len(times) > 4 else slice(None)

@@ -61,12 +61,14 @@ def _samples(times_s: ArrayLike, values: ArrayLike, least: int) -> tuple[FloatAr
     return times, table
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LagrangeCurve:
     """Lagrange polynomial through the `points` samples nearest to the time asked.
 
-    The stencil is centred, and pushed inwards at the ends of the table. Source: T 2.1.4
-    (orientation images); DIMAP and CSM products prescribe it with 8 points.
+    The stencil is centred, and pushed inwards at the ends of the table. With an even number of
+    points the curve is continuous; with an odd one it jumps half-way between samples, where the
+    stencil moves on. Source: T 2.1.4 (orientation images); DIMAP and CSM products prescribe it
+    with 8 points.
     """
 
     times_s: FloatArray
@@ -136,7 +138,7 @@ class LagrangeCurve:
         return result
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SplineCurve:
     """Cubic spline through samples (not-a-knot ends), or Hermite where rates are given."""
 
@@ -180,7 +182,7 @@ class SplineCurve:
         return result
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class PolynomialCurve:
     """Polynomial in s = (t − offset_s) / scale_s, `coefficients` (degree + 1, k) ascending.
 
@@ -198,6 +200,8 @@ class PolynomialCurve:
             raise ArgumentError(f"coefficients: shape (degree + 1, k) expected, got {table.shape}")
         if not (np.isfinite(self.scale_s) and self.scale_s != 0 and np.isfinite(self.offset_s)):
             raise ArgumentError("polynomial: a finite offset and a scale other than 0 expected")
+        if not self.span_s[0] <= self.span_s[1]:
+            raise ArgumentError(f"polynomial: a span, first to last, expected, got {self.span_s}")
         object.__setattr__(self, "coefficients", table)
 
     @classmethod

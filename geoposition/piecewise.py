@@ -19,6 +19,7 @@ _CHECKS = np.array([0.125, 0.5, 0.875])
 _TO_COEFFICIENTS = np.linalg.inv(np.vander(_NODES, 4, increasing=True))
 _CHECK_POWERS = np.vander(_CHECKS, 4, increasing=True)
 _MAX_SPLITS = 24
+_MAX_SEGMENTS = 2**14
 
 
 class PiecewiseCubic(NamedTuple):
@@ -59,6 +60,11 @@ def tabulate(
         bad = todo[~good]
         if not len(bad):
             break
+        if len(bad) > max(_MAX_SEGMENTS, 8 * len(knots)):
+            raise ConvergenceError(
+                "a curve is too rough to tabulate, maybe from rounding: are its seconds counted "
+                "from an epoch years away?"
+            )
         middle = bad.mean(axis=1)
         todo = np.concatenate(
             [np.stack([bad[:, 0], middle], axis=1), np.stack([middle, bad[:, 1]], axis=1)]

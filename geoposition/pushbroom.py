@@ -21,10 +21,12 @@ from geoposition.rays import Rays
 from geoposition.sensor_model import GroundPoints, ImagePoints
 
 _START_GRID = 21
+_START_LEVELS = 5
+"""So many determine a cubic in the height; fewer leave it loose between the levels."""
 _START_HEIGHT_MARGIN_M = 500.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class PushbroomModel:
     """Rigorous model of one push-broom image; a `SensorModel`.
 
@@ -67,7 +69,7 @@ class PushbroomModel:
     def ground_to_image(self, geodetic: ArrayLike) -> ImagePoints:
         """Project `geodetic` (..., 3) = (lon_rad, lat_rad, height_m) into the image."""
         points = as_components(geodetic, 3, "ground points")
-        flat = np.ascontiguousarray(points.reshape(-1, 3))
+        flat = _frozen(points.reshape(-1, 3))
         image = np.empty((len(flat), 2))
         flags: FlagArray = np.empty(len(flat), dtype=np.uint8)
         kernels.inverse(self._table, flat, image, flags)
@@ -90,16 +92,22 @@ def _flat(
     points = as_components(image_px, 2, "image points")
     heights = np.asarray(height_m, dtype=np.float64)
     if heights.ndim == 0:
-        flat = np.ascontiguousarray(points.reshape(-1, 2))
-        return flat, heights.reshape(1), 0, points.shape[:-1]
+        return _frozen(points.reshape(-1, 2)), _frozen(heights.reshape(1)), 0, points.shape[:-1]
     try:
         shape = np.broadcast_shapes(points.shape[:-1], heights.shape)
     except ValueError:
         raise ArgumentError(
             f"heights: shape {heights.shape} does not fit image points {points.shape[:-1]}"
         ) from None
-    flat = np.ascontiguousarray(np.broadcast_to(points, (*shape, 2)).reshape(-1, 2))
-    return flat, np.ascontiguousarray(np.broadcast_to(heights, shape).reshape(-1)), 1, shape
+    flat = _frozen(np.broadcast_to(points, (*shape, 2)).reshape(-1, 2))
+    return flat, _frozen(np.broadcast_to(heights, shape).reshape(-1)), 1, shape
+
+
+def _frozen(array: FloatArray) -> FloatArray:
+    """Return a contiguous read-only view: of one type always, so that kernels compile once."""
+    view = np.ascontiguousarray(array).view()
+    view.setflags(write=False)
+    return view
 
 
 def _compile(model: PushbroomModel) -> kernels.ModelTable:
@@ -146,18 +154,16 @@ def _with_start(
     table: kernels.ModelTable, height_range_m: tuple[float, float]
 ) -> kernels.ModelTable:
     """Fit line and sample as cubics of local coordinates over the image and its margin."""
-    margin = 0.02 * table.samples
-    low = max(-0.02 * table.lines, table.first_line)
-    high = min(table.lines - 1 + 0.02 * table.lines, table.last_line)
-    line = np.linspace(low, high, _START_GRID)
+    margin = table.margin_px
+    line = np.linspace(table.first_line, table.last_line, _START_GRID)
     sample = np.linspace(-margin, table.samples - 1 + margin, _START_GRID)
     heights = np.array(height_range_m)
     if heights[1] - heights[0] < _START_HEIGHT_MARGIN_M:
         heights = heights + np.array([-1, 1]) * _START_HEIGHT_MARGIN_M
-    heights = np.array([heights[0], heights.mean(), heights[1]])
+    heights = np.linspace(heights[0], heights[1], _START_LEVELS)
     grid = np.stack(np.meshgrid(line, sample, indexing="ij"), axis=-1).reshape(-1, 2)
-    image = np.repeat(grid[None], 3, axis=0).reshape(-1, 2)
-    height = np.repeat(heights, len(grid))
+    image = _frozen(np.tile(grid, (_START_LEVELS, 1)))
+    height = _frozen(np.repeat(heights, len(grid)))
     origin, direction = np.empty((len(image), 3)), np.empty((len(image), 3))
     geodetic = np.empty((len(image), 3))
     flags: FlagArray = np.empty(len(image), dtype=np.uint8)

@@ -20,6 +20,7 @@ from geoposition.flags import Flag
 
 LANES = 256
 _BLOCKS_PER_TASK = 16
+_VECTOR = 32
 
 _OK = int(Flag.OK)
 _OUTSIDE_IMAGE = int(Flag.OUTSIDE_IMAGE)
@@ -35,7 +36,11 @@ _PER_C = 1.0 / SPEED_OF_LIGHT_M_S
 
 MAX_STEPS = 25
 STEP_TOLERANCE_PX = 2e-5
-"""A Newton step below this leaves an error of its square's order, far below 1e-6 px."""
+"""A Newton step below this, not the first, leaves an error far below 1e-6 px."""
+EDGE_TOLERANCE_PX = 1e-5
+"""Rounding allowed at the edges of image and margin, so that what is located comes back."""
+LOWEST_HEIGHT_M = -1e5
+"""A height below this is no point on Earth."""
 
 # Rows of the work array. First what identifies a point and the state of its iteration.
 _LINE, _SAMPLE, _HEIGHT, _CCD, _TRIES, _AT_END = 0, 1, 2, 3, 4, 5
@@ -178,6 +183,15 @@ def _ccd_of(first_sample: FloatArray, sample: float) -> int:
     while ccd < len(first_sample) - 1 and sample >= first_sample[ccd + 1] - 0.5:
         ccd += 1
     return ccd
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _full(n: int) -> int:
+    """`n` rounded up to whole vectors: no lane is left to a scalar loop that rounds otherwise.
+
+    The lanes beyond `n` hold anything; nothing is read from them.
+    """
+    return (n + _VECTOR - 1) // _VECTOR * _VECTOR
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
@@ -381,9 +395,13 @@ def _pixel_flag(
     """Flag of an image point: within the image, its margin, or beyond."""
     if not (math.isfinite(line) and math.isfinite(sample)):
         return _BAD_INPUT
-    if not (first_line <= line <= last_line and -margin_px <= sample <= samples - 1 + margin_px):
+    off_line = max(first_line - line, line - last_line)
+    off_sample = max(-margin_px - sample, sample - (samples - 1 + margin_px))
+    if max(off_line, off_sample) > EDGE_TOLERANCE_PX:
         return _OUTSIDE_MODEL
-    if -0.5 <= line <= lines - 0.5 and -0.5 <= sample <= samples - 0.5:
+    off_line = max(-0.5 - line, line - (lines - 0.5))
+    off_sample = max(-0.5 - sample, sample - (samples - 0.5))
+    if max(off_line, off_sample) <= EDGE_TOLERANCE_PX:
         return _OK
     return _OUTSIDE_IMAGE
 
@@ -404,12 +422,14 @@ def _see_block(
     first_line, last_line, margin_px = m.first_line, m.last_line, m.margin_px
     lines, samples = m.lines, m.samples
     refraction_m, scale_height_m = m.refraction_m, m.scale_height_m
-    same_km = refraction_m * math.exp(-height_m[0] / scale_height_m)
+    same_km = 0.0
+    if height_step == 0 and refraction_m > 0.0:
+        same_km = refraction_m * math.exp(-height_m[0] / scale_height_m)
     for i in range(n):
         line, sample = image_px[first + i, 0], image_px[first + i, 1]
         h = height_m[(first + i) * height_step]
         flag = _pixel_flag(line, sample, first_line, last_line, margin_px, lines, samples)
-        if not math.isfinite(h):
+        if not (math.isfinite(h) and h > LOWEST_HEIGHT_M):
             flag = _BAD_INPUT
         if flag > _OUTSIDE_IMAGE:
             line, sample, h = first_line, 0.0, 0.0
@@ -424,7 +444,7 @@ def _see_block(
             w[_KM * LANES + i] = refraction_m * math.exp(-w[_HEIGHT * LANES + i] / scale_height_m)
     _fill_pose(m, w, n)
     _fill_tangents(m, w, n)
-    _sight(n, w, m.aberration, m.light_time, m.mean_range_m)
+    _sight(_full(n), w, m.aberration, m.light_time, m.mean_range_m)
     for i in range(n):
         if flags[first + i] > _OUTSIDE_IMAGE:
             w[_GX * LANES + i] = np.nan
@@ -480,17 +500,18 @@ def rays(
         for first in range(task * size, min((task + 1) * size, total), LANES):
             n = min(LANES, total - first)
             _see_block(m, w, image_px, height_m, height_step, flags, first, n)
-            for i in range(n):
+            for i in range(_full(n)):
                 x, y, z = w[_SX * LANES + i], w[_SY * LANES + i], w[_SZ * LANES + i]
-                none = 0.0 * w[_GX * LANES + i]
                 dx, dy, dz = w[_GX * LANES + i] - x, w[_GY * LANES + i] - y, w[_GZ * LANES + i] - z
                 unit = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
-                origin[first + i, 0] = x + none
-                origin[first + i, 1] = y + none
-                origin[first + i, 2] = z + none
-                direction[first + i, 0] = dx * unit
-                direction[first + i, 1] = dy * unit
-                direction[first + i, 2] = dz * unit
+                w[_RX * LANES + i] = dx * unit
+                w[_RY * LANES + i] = dy * unit
+                w[_RZ * LANES + i] = dz * unit
+            for i in range(n):
+                none = 0.0 * w[_GX * LANES + i]
+                for j in range(3):
+                    origin[first + i, j] = w[(_SX + j) * LANES + i] + none
+                    direction[first + i, j] = w[(_RX + j) * LANES + i]
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST, inline="always")
@@ -528,7 +549,8 @@ def _begin(
     good = 0
     for i in range(first, first + n):
         lon, lat, h = geodetic[i, 0], geodetic[i, 1], geodetic[i, 2]
-        if not (math.isfinite(lon) and abs(lat) <= 0.5 * math.pi + 1e-12 and -1e5 < h < highest):
+        on_earth = abs(lat) <= 0.5 * math.pi + 1e-12 and LOWEST_HEIGHT_M < h < highest
+        if not (math.isfinite(lon) and on_earth):
             flags[i] = _BAD_INPUT
             image_px[i, 0] = np.nan
             image_px[i, 1] = np.nan
@@ -540,7 +562,7 @@ def _begin(
         w[_HEIGHT * LANES + good] = h
         ids[good] = i
         good += 1
-    for i in range(good):
+    for i in range(_full(good)):
         nx, ny, nz = w[_NX * LANES + i], w[_NY * LANES + i], w[_NZ * LANES + i]
         h = w[_HEIGHT * LANES + i]
         radius = WGS84_A_M / math.sqrt(1.0 - WGS84_E2 * nz * nz)
@@ -601,7 +623,7 @@ def _sort_out(
         flag = -1
         if not (math.isfinite(d_line) and math.isfinite(d_sample)):
             flag = _NOT_CONVERGED
-        elif max(abs(d_line), abs(d_sample)) < STEP_TOLERANCE_PX:
+        elif step > 0 and max(abs(d_line), abs(d_sample)) < STEP_TOLERANCE_PX:
             flag = _pixel_flag(line, sample, first_line, last_line, margin_px, lines, samples)
             if not w[_FRONT * LANES + i] > 0.0:
                 flag = _OUTSIDE_MODEL
@@ -619,6 +641,15 @@ def _sort_out(
             w[_AT_END * LANES + i] += 1.0
             if w[_AT_END * LANES + i] > 3.0:
                 flag = _OUTSIDE_MODEL
+        if flag == _OUTSIDE_MODEL and w[_TRIES * LANES + i] == 0.0:
+            # Beyond the lines of this CCD: a staggered neighbour that overlaps it may see it.
+            ccd = int(w[_CCD * LANES + i])
+            ccd += 1 if sample > 0.5 * (first_sample[ccd] + last_sample[ccd]) else -1
+            if 0 <= ccd < ccds:
+                w[_TRIES * LANES + i] = 3.0
+                w[_AT_END * LANES + i] = 0.0
+                w[_CCD * LANES + i] = ccd
+                flag = -1
         if flag < 0 and step == MAX_STEPS - 1:
             flag = _NOT_CONVERGED
         if flag < 0:
@@ -651,7 +682,7 @@ def inverse(m: ModelTable, geodetic: FloatArray, image_px: FloatArray, flags: Fl
             for step in range(MAX_STEPS):
                 _fill_pose(m, w, n)
                 _fill_tangents(m, w, n)
-                _newton(n, w, m.aberration, m.light_time)
+                _newton(_full(n), w, m.aberration, m.light_time)
                 n = _sort_out(m, w, ids, image_px, flags, n, step)
                 if n == 0:
                     break

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from geoposition.arrays import FlagArray, FloatArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Rays:
     """Half-lines: `origin_ecef_m` (..., 3), unit `direction_ecef` (..., 3), `flag` (...).
 
@@ -19,6 +22,8 @@ class Rays:
     direction_ecef: FloatArray
     flag: FlagArray
 
-    def at(self, range_m: FloatArray) -> FloatArray:
+    def at(self, range_m: ArrayLike) -> FloatArray:
         """Points at `range_m` (...), as (..., 3) ECEF metres."""
-        return self.origin_ecef_m + range_m[..., None] * self.direction_ecef
+        distance = np.asarray(range_m, dtype=np.float64)[..., None]
+        result: FloatArray = self.origin_ecef_m + distance * self.direction_ecef
+        return result

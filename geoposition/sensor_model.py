@@ -11,7 +11,7 @@ from geoposition.arrays import FlagArray, FloatArray
 from geoposition.rays import Rays
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class GroundPoints:
     """Located points: `geodetic` (..., 3) as (lon_rad, lat_rad, height_m), `flag` (...).
 
@@ -22,7 +22,7 @@ class GroundPoints:
     flag: FlagArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ImagePoints:
     """Projected points: `image_px` (..., 2) as (line, sample), `flag` (...).
 

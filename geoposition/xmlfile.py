@@ -35,14 +35,8 @@ class XmlNode:
 
     def find(self, tags: str) -> XmlNode | None:
         """First descendant at the path `tags` ("A/B/C"), or None."""
-        element: Element | None = self.element
-        for tag in tags.split("/"):
-            assert element is not None
-            element = next((child for child in element if local_name(child) == tag), None)
-            if element is None:
-                return None
-        assert element is not None
-        return XmlNode(self.path, f"{self.place}/{tags}", element)
+        nodes = self.all(tags)
+        return XmlNode(self.path, f"{self.place}/{tags}", nodes[0].element) if nodes else None
 
     def need(self, tags: str) -> XmlNode:
         """First descendant at the path `tags`; a missing one is a `ProductError`."""
@@ -95,6 +89,8 @@ class XmlNode:
                 self.path, self.place, f"{count} number(s) expected, got {len(words)}"
             )
         try:
+            if any("_" in word for word in words):  # digit groups of Python, not of XML
+                raise ValueError
             values = np.array([float(word) for word in words])
         except ValueError:
             raise ProductError(
@@ -113,6 +109,8 @@ def local_name(element: Element) -> str:
 def read_xml(path: str | Path) -> XmlNode:
     """Parse `path` and return its root; entities, external references and bombs are refused."""
     path = Path(path)
+    if path.is_dir():
+        raise ProductError(path, "", "an XML document expected, this is a folder")
     if not path.is_file():
         raise MissingFileError(path, "", "there is no such file")
     if path.stat().st_size == 0:

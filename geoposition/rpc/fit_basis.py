@@ -110,3 +110,12 @@ def substitution(matrix: FloatArray, shift: FloatArray) -> FloatArray:
         known = rows[parent[j], : count(2)]
         rows[j] = times_affine(known[None], affine)[0]
     return rows.T
+
+
+def monomials(x: FloatArray, degree: int = 3) -> FloatArray:
+    """Monomials (m, n) up to `degree` of `x` (3, n)."""
+    parent, variable = recipe()
+    out = np.ones((count(degree), x.shape[1]))
+    for j in range(1, len(out)):
+        np.multiply(out[parent[j]], x[variable[j]], out=out[j])
+    return out

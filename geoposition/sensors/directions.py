@@ -46,7 +46,7 @@ def _polynomial(coefficients: FloatArray, s: FloatArray) -> FloatArray:
     return np.asarray(np.polynomial.polynomial.polyval(s, coefficients), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class PolynomialDirections:
     """Polynomials x(s), y(s) in s = (sample − `offset`) / `scale`, ascending coefficients.
 
@@ -100,7 +100,7 @@ class PolynomialDirections:
         return np.tan(values) if self.angles else values
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class TableDirections:
     """Tangents (n, 2) at the samples (n,), linear between them and beyond the ends.
 
@@ -171,7 +171,7 @@ class CollinearDirections:
         numbers += [*self.pitch, *self.principal_point, *self.radial]
         if not np.all(np.isfinite(numbers)):
             raise ArgumentError("collinear camera: finite numbers expected")
-        if self.focal_length <= 0 or self.pitch == (0.0, 0.0):
+        if self.focal_length <= 0 or not any(self.pitch):
             raise ArgumentError("collinear camera: a positive focal length and a pitch expected")
 
     @property
@@ -194,7 +194,8 @@ class CollinearDirections:
         """Return the same with some parameters changed."""
         new = self.parameters | values
         if len(new) != len(self.parameters):
-            raise ArgumentError(f"collinear camera: no parameter {set(values) - set(new)}")
+            unknown = set(values) - set(self.parameters)
+            raise ArgumentError(f"collinear camera: no parameter {unknown}")
         return replace(
             self,
             focal_length=new["focal_length"],
@@ -221,7 +222,7 @@ class CollinearDirections:
         return plane
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SplineDirections:
     """Smooth curve of tangents (n, 2) through samples (n,): calibrated nodes, n >= 4."""
 

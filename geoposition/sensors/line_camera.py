@@ -16,7 +16,7 @@ from geoposition.errors import ArgumentError
 from geoposition.sensors.directions import Directions
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Ccd:
     """One CCD of a focal plane: `samples` pixels of the image row and their directions.
 
@@ -27,7 +27,7 @@ class Ccd:
     directions: Directions
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Mounting:
     """How the camera sits in the body: its turn and its place.
 
@@ -45,7 +45,7 @@ class Mounting:
         object.__setattr__(self, "lever_arm_body_m", arm)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LineCamera:
     """Push-broom camera of `lines` lines; the CCDs stand side by side in the image row."""
 
@@ -116,6 +116,8 @@ class LineCamera:
         unknown = set(values) - set(self.parameters)
         if unknown:
             raise ArgumentError(f"camera: no parameter {sorted(unknown)}")
+        if not np.all(np.isfinite(list(values.values()))):
+            raise ArgumentError("camera: finite parameters expected")
         turn = [values.get(f"mounting_{axis}_rad", 0.0) for axis in "xyz"]
         mounting = replace(
             self.mounting,

@@ -43,7 +43,7 @@ class ConstantLineRate:
         return (np.asarray(time_s, dtype=np.float64) - self.first_line_s) / self.line_period_s
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LineTimeTable:
     """Line times linear between the entries `lines` (n,), `times_s` (n,), and beyond the ends.
 

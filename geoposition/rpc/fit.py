@@ -1,0 +1,203 @@
+"""RPCs from any sensor model, from samples of one, or from control points.
+
+`fit_model` samples a model on a virtual grid in space, so the terrain does not matter;
+`fit_samples` takes a producer's own grid. `fit_control` (`rpc.fit_control`) takes points with
+errors, and depends on the terrain.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from geoposition.arrays import FloatArray
+from geoposition.errors import ArgumentError, GeometryError
+from geoposition.rpc.direct import DirectRpc
+from geoposition.rpc.fit_check import FitCheck, check_fit, cube_range
+from geoposition.rpc.fit_grid import Normalisation, Samples, axes, sample_model, widened
+from geoposition.rpc.fit_ratio import Fitted, fit_direct, fit_inverse
+from geoposition.rpc.fit_region import FittedRegion
+from geoposition.rpc.fit_solve import Denominators, FitOptions
+from geoposition.rpc.model import RpcModel
+from geoposition.sensor_model import SensorModel
+
+NODES: Final = (151, 11, 7)
+"""Lines, samples and heights of the virtual grid: dense in time, where motion is."""
+
+LIMIT_PX: Final = 1.0
+"""A fit that misses the model by more than this is refused unless more is asked for."""
+
+_POLAR_DEG: Final = 80.0
+_LEAST_IN_CUBE: Final = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RpcFit:
+    """An RPC with what is known of it.
+
+    `rms_px` (line, sample) is at the points of the fit. `covariance` (2, 39, 39) is of the
+    twenty numerator and nineteen denominator coefficients (the first is 1) of line and sample,
+    taking the misfit at each point as an error of its own; `effective` (2) is how many of them
+    the points determine, `strength` (2) the damping chosen from the data (squares of pixels).
+    """
+
+    model: RpcModel
+    region: FittedRegion
+    points: int
+    rms_px: tuple[float, float]
+    covariance: FloatArray
+    effective: FloatArray
+    strength: FloatArray
+    check: FitCheck | None
+    warnings: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the summary by name."""
+        result: dict[str, object] = {
+            "points": self.points,
+            "rms_px": list(self.rms_px),
+            "region": self.region.statement(),
+            "effective_parameters": self.effective.tolist(),
+            "damping": self.strength.tolist(),
+            "warnings": list(self.warnings),
+        }
+        if self.check is not None:
+            result["check"] = self.check.as_dict()
+        return result
+
+
+def fit_model(
+    model: SensorModel,
+    heights_m: tuple[float, float] | None = None,
+    *,
+    degree: int = 3,
+    denominators: Denominators = "separate",
+    direct: bool = True,
+    nodes: tuple[int, int, int] = NODES,
+    limit_px: float = LIMIT_PX,
+) -> RpcFit:
+    """Fit an RPC to `model` over its whole image, and check it between the nodes.
+
+    Parameters
+    ----------
+    heights_m
+        Lowest and highest ellipsoidal height, by default those of `model`; at least 100 m.
+    degree
+        Of the polynomials, 1 to 3.
+    denominators
+        "separate" for line and sample, or one "equal" for both.
+    direct
+        Whether to fit image to ground, too.
+    nodes
+        Lines, samples and heights of the grid.
+    limit_px
+        Largest misfit at the check grid that is accepted.
+
+    Raises
+    ------
+    ArgumentError
+        Unusable heights, degree or nodes.
+    GeometryError
+        The model does not answer, the image is around a pole, or no ratio of polynomials
+        follows the model to `limit_px`.
+    """
+    heights = widened(model.height_range_m if heights_m is None else heights_m)
+    if min(nodes) < degree + 2:
+        raise ArgumentError(f"nodes: at least {degree + 2} along each axis expected, got {nodes}")
+    line, samp, height = axes(model.shape, heights, nodes)
+    samples = sample_model(model, line, samp, height)
+    options = FitOptions(degree=_degree(degree), denominators=denominators)
+    fit = _fit(samples, model.shape, options, direct)
+    check = check_fit(model, fit.model, line, samp, height)
+    refuse_beyond(limit_px, check.largest_px, fit.region)
+    rpc = replace(fit.model, fit_error_px=(check.row.rms, check.col.rms))
+    warnings = list(fit.warnings)
+    if check.missed:
+        warnings.append(f"{check.missed} points of the check grid have no result")
+    return replace(fit, model=rpc, check=check, warnings=tuple(warnings))
+
+
+def fit_samples(
+    image_px: FloatArray,
+    geodetic: FloatArray,
+    *,
+    shape: tuple[int, int] | None = None,
+    degree: int = 3,
+    denominators: Denominators = "separate",
+    direct: bool = True,
+    rows: int | None = None,
+) -> RpcFit:
+    """Fit an RPC to exact samples of a model: a producer's location grid, for instance.
+
+    Parameters
+    ----------
+    image_px, geodetic
+        Image points (..., 2) and their ground (..., 3), which must fill the image and a range
+        of heights.
+    shape
+        Image size (lines, samples), where it is known.
+    rows
+        How many of the samples are independent in time: the grid's lines; by default all.
+    """
+    options = FitOptions(degree=_degree(degree), denominators=denominators)
+    samples = Samples.of(
+        np.asarray(image_px, dtype=np.float64), np.asarray(geodetic, dtype=np.float64), rows
+    )
+    return _fit(samples, shape, options, direct)
+
+
+def refuse_beyond(limit_px: float, largest_px: float, region: FittedRegion) -> None:
+    """Refuse a fit that misses its model by more than `limit_px`, with the likely reason."""
+    if largest_px <= limit_px:
+        return
+    latitude = max(abs(region.lat_deg[0]), abs(region.lat_deg[1]))
+    reason = (
+        f"the image reaches latitude {latitude:.2f}, where longitude is no smooth coordinate"
+        if latitude > _POLAR_DEG
+        else "motion within the image, or a camera or height range too wide for cubics"
+    )
+    raise GeometryError(
+        f"RPC fit: it misses the model by up to {largest_px:.3g} px, {limit_px:g} px is the "
+        f"limit: {reason}"
+    )
+
+
+def _degree(degree: int) -> int:
+    if degree not in (1, 2, 3):
+        raise ArgumentError(f"degree: 1, 2 or 3 expected, got {degree}")
+    return degree
+
+
+def _fit(
+    samples: Samples, shape: tuple[int, int] | None, options: FitOptions, direct: bool
+) -> RpcFit:
+    options = replace(options, rows=samples.rows)
+    if len(samples.image_px) < 40:
+        raise ArgumentError(f"RPC fit: at least 40 samples expected, got {len(samples.image_px)}")
+    normal = Normalisation.of(samples, shape)
+    image, ground = normal.image(samples.image_px), normal.ground(samples.geodetic)
+    inverse = fit_inverse(ground, image, normal.image_scale_px, options)
+    rpc = build_model(normal, inverse, shape)
+    warnings: list[str] = []
+    if cube_range(rpc)[:, 0].min() < _LEAST_IN_CUBE:
+        rpc, inverse = _tamer(normal, ground, image, options, inverse, rpc, shape)
+    region = FittedRegion.of(samples)
+    rpc = replace(rpc, validity=region.validity)
+    if direct:
+        rpc = replace(rpc, direct=_direct(normal, image, ground, options))
+    ratios = inverse.ratios
+    rms = np.sqrt((ratios.residual**2).mean(axis=1)) * normal.image_scale_px
+    return RpcFit(
+        model=rpc,
+        region=region,
+        points=len(samples.image_px),
+        rms_px=(float(rms[0]), float(rms[1])),
+        covariance=inverse.covariance,
+        effective=ratios.effective,
+        strength=ratios.strength,
+        check=None,
+        warnings=tuple(warnings),
+    )
