@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geoposition.arrays import FlagArray, FloatArray, as_components
+from geoposition.constants import WGS84_A_M
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import ArgumentError
 from geoposition.flags import Flag
@@ -44,7 +45,7 @@ def locate(
     image_px: ArrayLike,
     terrain: Terrain,
     progress: Progress | None = None,
-    chunk: int = 262_144,
+    chunk: int = 131_072,
 ) -> GroundPoints:
     """Locate `image_px` (..., 2) = (line, sample) on `terrain`: first crossings from above.
 
@@ -119,8 +120,7 @@ def _locate_bent(
         spread = np.linspace(0, len(found) - 1, _SAMPLE).astype(np.int64)
         check = found[np.concatenate([[np.argmin(height_m), np.argmax(height_m)], spread])]
         exact = model.image_to_ground(image_px[check], geodetic[check, 2]).geodetic
-        off = geodetic_to_ecef(exact) - geodetic_to_ecef(geodetic[check])
-        if not np.max(np.linalg.norm(off, axis=-1)) <= LATERAL_TOLERANCE_M:
+        if not np.max(_apart_m(exact, geodetic[check])) <= LATERAL_TOLERANCE_M:
             return None
     flag[(rays.flag == Flag.OUTSIDE_IMAGE) & (flag == Flag.OK)] = Flag.OUTSIDE_IMAGE
     return geodetic, flag
@@ -171,6 +171,15 @@ def _bending_rate(
     rate = float(np.nanmax(aside_m / np.abs(away_m), initial=0.0))
     # the bending of a quadratic grows; twice the chord's rate covers its tangent's
     return max(2.0 * rate, _LEAST_RATE)
+
+
+def _apart_m(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Distance of geodetic points close to each other, right to a percent."""
+    lon, lat, height = np.moveaxis(a - b, -1, 0)
+    lon = np.remainder(lon + np.pi, 2.0 * np.pi) - np.pi
+    east, north = lon * np.cos(a[..., 1]) * WGS84_A_M, lat * WGS84_A_M
+    distance: FloatArray = np.sqrt(east**2 + north**2 + height**2)
+    return distance
 
 
 def _distance_m(rays: Rays, points_ecef_m: FloatArray) -> FloatArray:

@@ -201,6 +201,23 @@ def test_flags_keep_their_points_and_the_others_results(terrain: RasterTerrain) 
     assert np.all(np.isnan(found.geodetic[[2, 3]]))
 
 
+def test_bad_points_among_many_cost_the_others_nothing(terrain: RasterTerrain) -> None:
+    model = SlidingCamera(0.3, 0.3)
+    image = image_points(6000)
+    image[[3, 700]] = np.nan
+    image[5, 0] = np.inf
+    image[9] = -1e6
+    found = locate(model, image, terrain)
+    lost = np.isin(np.arange(6000), [3, 5, 9, 700])
+    assert np.all(np.isnan(found.geodetic[lost]))
+    assert not np.any(np.isin(found.flag[lost], [Flag.OK, Flag.OUTSIDE_IMAGE]))
+    good = locate(model, image[~lost], terrain)
+    np.testing.assert_array_equal(found.flag[~lost], good.flag)
+    np.testing.assert_allclose(found.geodetic[~lost], good.geodetic, rtol=0, atol=1e-4)
+    nothing = locate(model, np.full((6000, 2), np.nan), terrain)
+    assert np.all(np.isnan(nothing.geodetic))
+
+
 def test_chunks_change_nothing_and_progress_is_told(terrain: RasterTerrain) -> None:
     model = SlidingCamera(0.4, 0.8)
     image = image_points(1000).reshape(10, 100, 2)

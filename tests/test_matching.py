@@ -13,7 +13,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from scipy.ndimage import gaussian_filter, map_coordinates
 from synthetic_models import PLACE, ParallelModel
 
-from geoposition import matching
+import geoposition.matching.pairs as matching
 from geoposition.ellipsoid import enu_axes, geodetic_to_ecef
 from geoposition.errors import (
     ArgumentError,
@@ -22,11 +22,11 @@ from geoposition.errors import (
     ProductError,
 )
 from geoposition.matching import MatchOptions, match_images, match_pair, open_image
-from geoposition.matching_filter import common_offset, first_of_place, like_neighbours
-from geoposition.matching_image import Window, stretched
-from geoposition.matching_refine import refine
+from geoposition.matching.filter import common_offset, first_of_place, like_neighbours
+from geoposition.matching.image import Window, stretched
+from geoposition.matching.refine import refine
 from geoposition.triangulate import triangulate
-from geoposition.triangulate_bias import relative_bias
+from geoposition.triangulate.bias import relative_bias
 
 SIZE = 300
 TEXTURE_M = 0.25

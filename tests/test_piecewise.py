@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geoposition.errors import ConvergenceError
-from geoposition.piecewise import PiecewiseCubic, merge_knots, tabulate
+from geoposition.pushbroom.piecewise import PiecewiseCubic, merge_knots, tabulate
 
 
 def look_up(table: PiecewiseCubic, x: np.ndarray) -> np.ndarray:

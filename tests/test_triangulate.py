@@ -7,15 +7,15 @@ import pytest
 from scipy.stats import chi2
 from synthetic_models import PLACE, ParallelModel
 
-from geoposition import triangulate as module
 from geoposition.ellipsoid import ecef_to_geodetic, enu_axes, geodetic_to_ecef
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import Flag
 from geoposition.observations import TiePoints, diagonal_covariance
 from geoposition.sensor_model import SensorModel
+from geoposition.triangulate import points as module
 from geoposition.triangulate import triangulate, triangulate_pairs
-from geoposition.triangulate_bias import relative_bias
-from geoposition.triangulate_start import height_start
+from geoposition.triangulate.bias import relative_bias
+from geoposition.triangulate.start import height_start
 
 FORWARD = ParallelModel((0.05, 0.40))
 NADIR = ParallelModel((0.10, 0.02), turn_rad=0.3)

@@ -7,21 +7,19 @@ errors, and depends on the terrain.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from geoposition.arrays import FloatArray
 from geoposition.errors import ArgumentError, GeometryError
-from geoposition.rpc.direct import DirectRpc
-from geoposition.rpc.fit_check import FitCheck, check_fit, cube_range
+from geoposition.rpc.fit_build import RpcFit, build_direct, build_model, describe_fit
+from geoposition.rpc.fit_check import check_fit, cube_range
 from geoposition.rpc.fit_grid import Normalisation, Samples, axes, sample_model, widened
-from geoposition.rpc.fit_ratio import Fitted, fit_direct, fit_inverse
+from geoposition.rpc.fit_ratio import Fitted, fit_inverse
 from geoposition.rpc.fit_region import FittedRegion
 from geoposition.rpc.fit_solve import Denominators, FitOptions
-from geoposition.rpc.model import RpcModel
 from geoposition.sensor_model import SensorModel
 
 NODES: Final = (151, 11, 7)
@@ -32,41 +30,8 @@ LIMIT_PX: Final = 1.0
 
 _POLAR_DEG: Final = 80.0
 _LEAST_IN_CUBE: Final = 0.3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RpcFit:
-    """An RPC with what is known of it.
-
-    `rms_px` (line, sample) is at the points of the fit. `covariance` (2, 39, 39) is of the
-    twenty numerator and nineteen denominator coefficients (the first is 1) of line and sample,
-    taking the misfit at each point as an error of its own; `effective` (2) is how many of them
-    the points determine, `strength` (2) the damping chosen from the data (squares of pixels).
-    """
-
-    model: RpcModel
-    region: FittedRegion
-    points: int
-    rms_px: tuple[float, float]
-    covariance: FloatArray
-    effective: FloatArray
-    strength: FloatArray
-    check: FitCheck | None
-    warnings: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, object]:
-        """Return the summary by name."""
-        result: dict[str, object] = {
-            "points": self.points,
-            "rms_px": list(self.rms_px),
-            "region": self.region.statement(),
-            "effective_parameters": self.effective.tolist(),
-            "damping": self.strength.tolist(),
-            "warnings": list(self.warnings),
-        }
-        if self.check is not None:
-            result["check"] = self.check.as_dict()
-        return result
+_COSTS_LITTLE: Final = 1.5
+_LEAST_SAMPLES: Final = 40
 
 
 def fit_model(
@@ -128,7 +93,6 @@ def fit_samples(
     degree: int = 3,
     denominators: Denominators = "separate",
     direct: bool = True,
-    rows: int | None = None,
 ) -> RpcFit:
     """Fit an RPC to exact samples of a model: a producer's location grid, for instance.
 
@@ -139,12 +103,10 @@ def fit_samples(
         of heights.
     shape
         Image size (lines, samples), where it is known.
-    rows
-        How many of the samples are independent in time: the grid's lines; by default all.
     """
     options = FitOptions(degree=_degree(degree), denominators=denominators)
     samples = Samples.of(
-        np.asarray(image_px, dtype=np.float64), np.asarray(geodetic, dtype=np.float64), rows
+        np.asarray(image_px, dtype=np.float64), np.asarray(geodetic, dtype=np.float64)
     )
     return _fit(samples, shape, options, direct)
 
@@ -174,30 +136,38 @@ def _degree(degree: int) -> int:
 def _fit(
     samples: Samples, shape: tuple[int, int] | None, options: FitOptions, direct: bool
 ) -> RpcFit:
-    options = replace(options, rows=samples.rows)
-    if len(samples.image_px) < 40:
-        raise ArgumentError(f"RPC fit: at least 40 samples expected, got {len(samples.image_px)}")
+    if len(samples.image_px) < _LEAST_SAMPLES:
+        raise ArgumentError(
+            f"RPC fit: at least {_LEAST_SAMPLES} samples expected, got {len(samples.image_px)}"
+        )
     normal = Normalisation.of(samples, shape)
     image, ground = normal.image(samples.image_px), normal.ground(samples.geodetic)
-    inverse = fit_inverse(ground, image, normal.image_scale_px, options)
-    rpc = build_model(normal, inverse, shape)
-    warnings: list[str] = []
-    if cube_range(rpc)[:, 0].min() < _LEAST_IN_CUBE:
-        rpc, inverse = _tamer(normal, ground, image, options, inverse, rpc, shape)
+    inverse, warnings = _tame_inverse(normal, ground, image, options)
     region = FittedRegion.of(samples)
-    rpc = replace(rpc, validity=region.validity)
+    rpc = replace(build_model(normal, inverse, shape), validity=region.validity)
     if direct:
-        rpc = replace(rpc, direct=_direct(normal, image, ground, options))
-    ratios = inverse.ratios
-    rms = np.sqrt((ratios.residual**2).mean(axis=1)) * normal.image_scale_px
-    return RpcFit(
-        model=rpc,
-        region=region,
-        points=len(samples.image_px),
-        rms_px=(float(rms[0]), float(rms[1])),
-        covariance=inverse.covariance,
-        effective=ratios.effective,
-        strength=ratios.strength,
-        check=None,
-        warnings=tuple(warnings),
-    )
+        rpc = replace(rpc, direct=build_direct(normal, image, ground, options))
+    return describe_fit(rpc, region, inverse, normal, warnings)
+
+
+def _tame_inverse(
+    normal: Normalisation, ground: FloatArray, image: FloatArray, options: FitOptions
+) -> tuple[Fitted, tuple[str, ...]]:
+    """Damp more where a denominator vanishes in the normalised cube, if that costs little."""
+    first = inverse = fit_inverse(ground, image, normal.image_scale_px, options)
+    limit = max(_COSTS_LITTLE * _largest_px(first, normal), 100.0 * options.floor)
+    while cube_range(inverse.den)[:, 0].min() < _LEAST_IN_CUBE:
+        strength = 100.0 * float(inverse.ratios.strength.max())
+        inverse = fit_inverse(
+            ground, image, normal.image_scale_px, replace(options, least_strength=strength)
+        )
+        if _largest_px(inverse, normal) > limit:
+            return first, (
+                "a denominator vanishes for ground that is within offset ± scale, "
+                "but is not in the image at any height fitted to",
+            )
+    return inverse, ()
+
+
+def _largest_px(fitted: Fitted, normal: Normalisation) -> float:
+    return float((np.abs(fitted.ratios.residual).max(axis=1) * normal.image_scale_px).max())

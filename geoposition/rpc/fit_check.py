@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -131,7 +132,7 @@ def check_fit(
         profile_line_px=read_only(profile_line),
         profile_px=read_only(profile),
         den_range=denominators(rpc, ground.geodetic[good]),
-        cube_range=cube_range(rpc),
+        cube_range=cube_range(np.stack([rpc.line_den, rpc.samp_den])),
         direct=direct,
     )
 
@@ -150,13 +151,22 @@ def _profile(
     return line[good], difference[good].mean(axis=1)
 
 
-def cube_range(rpc: RpcModel) -> FloatArray:
-    """Extremes (2, 2) of both denominators, over their mean, in the normalised cube ±1."""
+def cube_range(den: FloatArray) -> FloatArray:
+    """Extremes (2, 2) of two denominators (2, 20), over their mean, in the cube ±1."""
+    return _extremes(den @ _cube())
+
+
+@cache
+def _cube() -> FloatArray:
     even = np.linspace(-1.0, 1.0, _CUBE)
-    cube = np.stack(np.meshgrid(even, even, even, indexing="ij"), axis=-1).reshape(-1, 3)
-    off = np.array([rpc.lon_off_deg, rpc.lat_off_deg, rpc.height_off_m])
-    scale = np.array([rpc.lon_scale_deg, rpc.lat_scale_deg, rpc.height_scale_m])
-    return denominators(rpc, (off + scale * cube) * (math.radians(1.0), math.radians(1.0), 1.0))
+    cube = np.stack(np.meshgrid(even, even, even, indexing="ij"))
+    return read_only(monomials(cube.reshape(3, -1)))
+
+
+def _extremes(values: FloatArray) -> FloatArray:
+    """Extremes (2, 2) of values (2, n) over their mean."""
+    values = values / values.mean(axis=1, keepdims=True)
+    return read_only(np.stack([values.min(axis=1), values.max(axis=1)], axis=1))
 
 
 def denominators(rpc: RpcModel, geodetic: FloatArray) -> FloatArray:
@@ -165,9 +175,7 @@ def denominators(rpc: RpcModel, geodetic: FloatArray) -> FloatArray:
     scale = np.array([rpc.lon_scale_deg, rpc.lat_scale_deg, rpc.height_scale_m])
     ground = geodetic * (math.degrees(1.0), math.degrees(1.0), 1.0) - off
     ground[:, 0] -= 360.0 * np.rint(ground[:, 0] / 360.0)
-    values = np.stack([rpc.line_den, rpc.samp_den]) @ monomials((ground / scale).T)
-    values /= values.mean(axis=1, keepdims=True)
-    return read_only(np.stack([values.min(axis=1), values.max(axis=1)], axis=1))
+    return _extremes(np.stack([rpc.line_den, rpc.samp_den]) @ monomials((ground / scale).T))
 
 
 def _middles(nodes: FloatArray) -> FloatArray:

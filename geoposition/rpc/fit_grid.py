@@ -25,16 +25,14 @@ _MOST_MISSED: Final = 0.02
 class Samples:
     """Image points `image_px` (n, 2) and their ground `geodetic` (n, 3), longitudes unbroken.
 
-    Longitudes follow each other without a jump at ±180°, so they may lie beyond. `rows` is how
-    many of the points see independent states of the satellite: for a grid, its lines.
+    Longitudes follow each other without a jump at ±180°, so they may lie beyond.
     """
 
     image_px: FloatArray
     geodetic: FloatArray
-    rows: int
 
     @classmethod
-    def of(cls, image_px: FloatArray, geodetic: FloatArray, rows: int | None = None) -> Samples:
+    def of(cls, image_px: FloatArray, geodetic: FloatArray) -> Samples:
         """Samples of (..., 2) and (..., 3); what is not finite is an `ArgumentError`."""
         image, ground = image_px.reshape(-1, 2), geodetic.reshape(-1, 3).copy()
         if len(image) != len(ground):
@@ -51,7 +49,7 @@ class Samples:
                 f"longitude, up to latitude {latitude:.3f}: an RPC in longitude and latitude "
                 "cannot describe an image around a pole"
             )
-        return cls(read_only(image), read_only(ground), len(image) if rows is None else rows)
+        return cls(read_only(image), read_only(ground))
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +153,7 @@ def sample_model(
             f"RPC fit: the model does not answer at {missed} of {good.size} nodes of the grid "
             f"({words})"
         )
-    return Samples.of(image[good], ground.geodetic[good], rows=len(line_px))
+    return Samples.of(image[good], ground.geodetic[good])
 
 
 def widened(heights_m: tuple[float, float]) -> tuple[float, float]:

@@ -31,6 +31,8 @@ _STEPS = 5
 _SETTLED = 1e-4
 _REWEIGHTS = 4
 _LEAST_WEIGHT = 0.05
+_WORTH = 100.0
+_FIRMER = 4.0
 _TINY = 1e-300
 _STRONGEST = 1e9
 
@@ -57,15 +59,15 @@ class Ratios:
 class FitOptions:
     """How to fit: see `fit_model`. `floor` is a residual, in units, of no importance.
 
-    `rows` is how many of the residuals are independent (None: all). `damp_numerators` damps
-    numerators beyond their affine part, too: for few points, with errors.
+    `damp_numerators` damps numerators beyond their affine part, too: for few points, with
+    errors. No damping is below `least_strength`.
     """
 
     degree: int = 3
     denominators: Denominators = "separate"
     floor: float = 1e-5
-    rows: int | None = None
     damp_numerators: bool = False
+    least_strength: float = 0.0
     minimise_maximum: bool = True
 
 
@@ -84,13 +86,13 @@ def fit_ratios(
     given = np.ones(x.shape[1]) if weight is None else weight / weight.mean()
     fit = _Fit(x, target, unit, options, given)
     weights = np.stack([given, given])
-    fit.iterate(weights, _STEPS)
+    fit.iterate(weights)
     while fit.unsound().any():
         if fit.strength[fit.unsound()].min() > _STRONGEST:
             raise GeometryError("RPC fit: no denominator without zeros follows the points")
         fit.least = np.where(fit.unsound(), 10.0 * fit.strength, fit.least)
         fit.restart()
-        fit.iterate(weights, _STEPS)
+        fit.iterate(weights)
     if options.minimise_maximum:
         fit.reweight(weights)
     return fit.result(weights)
@@ -116,7 +118,8 @@ class _Fit:
         )
         self.free = np.zeros(len(self.columns[0].p), dtype=bool)
         self.free[: count(1 if options.damp_numerators else degree)] = True
-        self.least, self.strength = np.zeros(2), np.zeros(2)
+        self.least = np.full(2, options.least_strength)
+        self.strength = np.zeros(2)
         self.den_range = np.ones((2, 2))
         self.restart()
 
@@ -138,30 +141,34 @@ class _Fit:
             self.columns[i].normal(sums[i] / total[i], squares[i] / total[i], unit, degree)
             for i, unit in enumerate(self.unit)
         ]
-        rows = self.options.rows or self.x.shape[1]
+        rows = self.x.shape[1]
         return [
             Damped.of([normal[i] for i in system], list(system.values()), self.free, rows)
             for system in self.systems
         ]
 
-    def iterate(self, weights: FloatArray, steps: int, choose: bool = True) -> None:
-        """Take `steps` Gauss-Newton steps, the first from nothing a linear one."""
-        for _ in range(steps):
+    def iterate(self, weights: FloatArray) -> None:
+        """Take a linear step from nothing, then Gauss-Newton steps; choose the damping."""
+        for _ in range(_STEPS):
             before = self.den.copy()
-            for system, damped in zip(self.systems, self.damped(weights), strict=True):
+            systems = self.damped(weights)
+            for system, damped in zip(self.systems, systems, strict=True):
                 targets = list(system)
-                if choose:
-                    least = float(self.least[targets].max())
-                    self.strength[targets] = damped.strength(self.options.floor, least)
-                found = damped.solve(float(self.strength[targets[0]]))
-                for i, places in system.items():
-                    self.num[i], self.den[i] = self.columns[i].ratio(found[places])
-            if not (np.all(np.isfinite(self.num)) and np.all(np.isfinite(self.den))):
-                raise GeometryError("RPC fit: the points determine no ratio of polynomials")
-            still = self.started and np.abs(self.den - before).max() < _SETTLED
-            self.started = True
-            if still:
+                least = float(self.least[targets].max())
+                self.strength[targets] = damped.strength(self.options.floor, least)
+            self.step(systems)
+            if self.started and np.abs(self.den - before).max() < _SETTLED:
                 return
+            self.started = True
+
+    def step(self, systems: list[Damped]) -> None:
+        """Replace the ratios by the solution of `systems`."""
+        for system, damped in zip(self.systems, systems, strict=True):
+            found = damped.solve(float(self.strength[next(iter(system))]))
+            for i, places in system.items():
+                self.num[i], self.den[i] = self.columns[i].ratio(found[places])
+        if not (np.all(np.isfinite(self.num)) and np.all(np.isfinite(self.den))):
+            raise GeometryError("RPC fit: the points determine no ratio of polynomials")
 
     def unsound(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Tell which denominators leave the sound range at some point."""
@@ -181,23 +188,24 @@ class _Fit:
 
     def reweight(self, weights: FloatArray) -> None:
         """Reweight by the residual, and keep the ratios with the least maximum times rms."""
-        given = weights.copy()
         residual = self.residual()
-        best, least = (self.num.copy(), self.den.copy()), self._score(residual, given)
-        if not np.any(np.abs(residual).max(axis=1) * self.unit > 100.0 * self.options.floor):
+        best, least = (self.num.copy(), self.den.copy()), self._score(residual, weights)
+        if not np.any(np.abs(residual).max(axis=1) * self.unit > _WORTH * self.options.floor):
             return
-        for _ in range(_REWEIGHTS):
+        changed = weights.copy()
+        for _ in range(_REWEIGHTS + 1):
             size = np.abs(residual)
-            size /= np.sqrt((given * size**2).mean(axis=1, keepdims=True)) + _TINY
-            weights *= size + _LEAST_WEIGHT
-            weights /= weights.mean(axis=1, keepdims=True)
-            self.iterate(weights, 1, choose=False)
-            residual = self.residual()
-            score = self._score(residual, given)
+            size /= np.sqrt((weights * size**2).mean(axis=1, keepdims=True)) + _TINY
+            changed *= size + _LEAST_WEIGHT
+            changed /= changed.mean(axis=1, keepdims=True)
+            systems = self.damped(changed)
+            score = np.where(self.unsound(), np.inf, self._score(residual, weights))
             for i in np.flatnonzero(score < least):
                 best[0][i], best[1][i], least[i] = self.num[i], self.den[i], score[i]
+            self.strength[self.unsound()] *= _FIRMER
+            self.step(systems)
+            residual = self.residual()
         self.num, self.den = best
-        weights[:] = given
 
     def _score(self, residual: FloatArray, weight: FloatArray) -> FloatArray:
         score = np.abs(residual).max(axis=1) * np.sqrt((weight * residual**2).mean(axis=1))

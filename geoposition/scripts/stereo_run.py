@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from geoposition.accuracy import point_statistics
+from geoposition.arrays import FloatArray
 from geoposition.errors import ArgumentError, GeometryError, ProductError
 from geoposition.flags import Flag, flag_labels, has_result
 from geoposition.matching import match_images
-from geoposition.matching_image import ImageSource, open_image
+from geoposition.matching.image import ImageSource, open_image
 from geoposition.observations import TiePoints
 from geoposition.product import Product
 from geoposition.rpc.model import RpcModel
@@ -22,7 +23,7 @@ from geoposition.scripts.tables import PARQUET_SUFFIXES, VECTOR_DRIVERS, Column,
 from geoposition.scripts.tie_tables import Checks, common
 from geoposition.sensor_model import GroundPoints
 from geoposition.triangulate import IntersectedPoints, triangulate
-from geoposition.triangulate_bias import RelativeBias, relative_bias
+from geoposition.triangulate.bias import RelativeBias, relative_bias
 
 SUFFIXES = tuple(sorted({".csv", *PARQUET_SUFFIXES, *VECTOR_DRIVERS}))
 
@@ -140,10 +141,10 @@ def _check(points: IntersectedPoints, checks: Checks) -> dict[str, object]:
 def write(output: Path, run: StereoRun) -> None:
     """Write id,lon,lat,height,sigma_e,sigma_n,sigma_u,residual_px,rays,flag."""
     points = run.points
-    sigma = np.sqrt(np.diagonal(points.covariance_enu_m2, axis1=-2, axis2=-1))
-    columns: dict[str, Column] = {"id": np.asarray(points.ids)}
+    sigma: FloatArray = np.round(points.sigma_enu_m, 6)
+    columns: dict[str, Column] = {"id": points.ids}
     columns |= ground_columns(GroundPoints(points.geodetic, points.flag))
-    columns |= {f"sigma_{axis}": np.round(sigma[:, i], 6) for i, axis in enumerate("enu")}
+    columns |= {f"sigma_{axis}": sigma[:, i] for i, axis in enumerate("enu")}
     columns |= {
         "residual_px": np.round(points.residual_px, 6),
         "rays": points.rays,

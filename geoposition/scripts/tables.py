@@ -116,7 +116,7 @@ def write_table(path: Path, columns: Mapping[str, Column]) -> None:
 
 def _needs_quotes(columns: Mapping[str, Column]) -> bool:
     """Tell whether some text holds what separates cells; Arrow would quote every text."""
-    texts = [values for values in columns.values() if values.dtype.kind == "U"]
+    texts = [values.astype(np.str_) for values in columns.values() if values.dtype.kind == "U"]
     return any(np.any(np.strings.find(values, mark) >= 0) for values in texts for mark in ',"\r\n')
 
 

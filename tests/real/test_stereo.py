@@ -20,7 +20,7 @@ from geoposition.rpc.model import RpcModel
 from geoposition.sensor_model import SensorModel
 from geoposition.sensors.readers import open_product
 from geoposition.triangulate import IntersectedPoints, triangulate, triangulate_pairs
-from geoposition.triangulate_bias import RelativeBias, relative_bias
+from geoposition.triangulate.bias import RelativeBias, relative_bias
 
 NMAD = 1.4826
 

@@ -11,9 +11,11 @@ import rasterio
 from geoposition.arrays import FloatArray
 from geoposition.datum import Geoid, from_crs
 from geoposition.ellipsoid import enu_axes, geodetic_to_ecef
-from geoposition.flags import Flag
+from geoposition.flags import Flag, has_result
+from geoposition.locate import locate
 from geoposition.raster_terrain import RasterTerrain
 from geoposition.rays import Rays
+from geoposition.rpc.formats import read_rpc
 
 UTM31 = "EPSG:32631"
 
@@ -106,3 +108,21 @@ def test_height_range_of_the_tile(dem: Path) -> None:
     terrain = RasterTerrain(dem / "N44E005.hgt")
     low, high = terrain.height_range_m(np.radians([[5.0, 44.0], [6.0, 45.0]]))
     assert (low, high) == (float(band.min()), float(band.max()))
+
+
+def test_locate_on_the_tile_agrees_with_the_models_own_height(real_data: Path) -> None:
+    """An RPC over the Ventoux: each point is the model's own at its height, and on the DEM."""
+    path = real_data / "stereo" / "pleiades_ventoux"
+    images = sorted(path.glob("*.tif"))
+    model = read_rpc(images[0])
+    terrain = RasterTerrain(real_data / "dem" / "N44E005.hgt", real_data / "dem" / "egm96_15.gtx")
+    rng = np.random.default_rng(4)
+    image = rng.uniform(0, 1, (20_000, 2)) * np.array(model.shape)
+    found = locate(model, image, terrain)
+    ok = has_result(found.flag)
+    assert ok.mean() > 0.95
+    height = found.geodetic[ok, 2]
+    np.testing.assert_allclose(terrain.height_at(found.geodetic[ok]).height_m, height, atol=1e-4)
+    exact = geodetic_to_ecef(model.image_to_ground(image[ok], height).geodetic)
+    moved = np.linalg.norm(exact - geodetic_to_ecef(found.geodetic[ok]), axis=-1)
+    assert np.max(moved) < 2e-4

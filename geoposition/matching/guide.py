@@ -14,9 +14,9 @@ import numpy as np
 
 from geoposition.arrays import FloatArray
 from geoposition.flags import has_result
-from geoposition.matching_image import Window
+from geoposition.matching.image import Window
 from geoposition.sensor_model import SensorModel
-from geoposition.triangulate_scale import TERMS, quadratic_terms
+from geoposition.triangulate.scale import TERMS, quadratic_terms
 
 _GRID: Final = 6
 _HEIGHTS: Final = 5

@@ -8,14 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from geoposition import triangulate_kernels as kernels
 from geoposition.arrays import FlagArray, FloatArray, IntArray
 from geoposition.flags import Flag, has_result
 from geoposition.observations import TiePoints
 from geoposition.rays import Rays
 from geoposition.sensor_model import SensorModel
-from geoposition.triangulate_scale import SCALE_SHAPE, image_scale
-from geoposition.triangulate_start import HeightStart, height_range_m, height_start
+from geoposition.triangulate import kernels
+from geoposition.triangulate.scale import SCALE_SHAPE, image_scale
+from geoposition.triangulate.start import HeightStart, height_range_m, height_start
 
 RAY_TOLERANCE_M: Final = 1.0
 """How far the height may move before lines of sight are made anew."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geoposition import pushbroom_kernels as kernels
 from geoposition.arrays import FlagArray, FloatArray, as_components
 from geoposition.attitude import Attitude
 from geoposition.camera import Camera
@@ -16,7 +15,9 @@ from geoposition.ellipsoid import enu_axes, geodetic_to_ecef
 from geoposition.ephemeris import Ephemeris
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import has_result
-from geoposition.pose_table import direction_table, margin_px, pose_table
+from geoposition.pushbroom import project, sight
+from geoposition.pushbroom.lanes import ModelTable
+from geoposition.pushbroom.pose_table import direction_table, margin_px, pose_table
 from geoposition.rays import Rays
 from geoposition.sensor_model import GroundPoints, ImagePoints
 
@@ -40,7 +41,7 @@ class PushbroomModel:
     attitude: Attitude
     corrections: Corrections
     height_range_m: tuple[float, float]
-    _table: kernels.ModelTable = field(init=False, repr=False, compare=False)
+    _table: ModelTable = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         low, high = self.height_range_m
@@ -63,7 +64,7 @@ class PushbroomModel:
         points, heights, step, shape = _flat(image_px, height_m)
         geodetic = np.empty((len(points), 3))
         flags: FlagArray = np.empty(len(points), dtype=np.uint8)
-        kernels.direct(self._table, points, heights, step, geodetic, flags)
+        sight.direct(self._table, points, heights, step, geodetic, flags)
         return GroundPoints(geodetic.reshape(*shape, 3), flags.reshape(shape))
 
     def ground_to_image(self, geodetic: ArrayLike) -> ImagePoints:
@@ -72,7 +73,7 @@ class PushbroomModel:
         flat = _frozen(points.reshape(-1, 3))
         image = np.empty((len(flat), 2))
         flags: FlagArray = np.empty(len(flat), dtype=np.uint8)
-        kernels.inverse(self._table, flat, image, flags)
+        project.inverse(self._table, flat, image, flags)
         shape = points.shape[:-1]
         return ImagePoints(image.reshape(*shape, 2), flags.reshape(shape))
 
@@ -81,7 +82,7 @@ class PushbroomModel:
         points, heights, step, shape = _flat(image_px, height_m)
         origin, direction = np.empty((len(points), 3)), np.empty((len(points), 3))
         flags: FlagArray = np.empty(len(points), dtype=np.uint8)
-        kernels.rays(self._table, points, heights, step, origin, direction, flags)
+        sight.rays(self._table, points, heights, step, origin, direction, flags)
         return Rays(origin.reshape(*shape, 3), direction.reshape(*shape, 3), flags.reshape(shape))
 
 
@@ -110,13 +111,13 @@ def _frozen(array: FloatArray) -> FloatArray:
     return view
 
 
-def _compile(model: PushbroomModel) -> kernels.ModelTable:
+def _compile(model: PushbroomModel) -> ModelTable:
     """Build the tables, then fit the start of the inverse location to the direct one."""
     camera, corrections = model.camera, model.corrections
     refraction = corrections.refraction
     pose = pose_table(camera, model.ephemeris, model.attitude)
     directions = direction_table(camera)
-    bare = kernels.ModelTable(
+    bare = ModelTable(
         lines=camera.shape[0],
         samples=camera.shape[1],
         first_line=pose.first_line,
@@ -150,9 +151,7 @@ def _compile(model: PushbroomModel) -> kernels.ModelTable:
     return _with_start(bare, model.height_range_m)
 
 
-def _with_start(
-    table: kernels.ModelTable, height_range_m: tuple[float, float]
-) -> kernels.ModelTable:
+def _with_start(table: ModelTable, height_range_m: tuple[float, float]) -> ModelTable:
     """Fit line and sample as cubics of local coordinates over the image and its margin."""
     margin = table.margin_px
     line = np.linspace(table.first_line, table.last_line, _START_GRID)
@@ -167,14 +166,14 @@ def _with_start(
     origin, direction = np.empty((len(image), 3)), np.empty((len(image), 3))
     geodetic = np.empty((len(image), 3))
     flags: FlagArray = np.empty(len(image), dtype=np.uint8)
-    kernels.direct(table, image, height, 1, geodetic, flags)
+    sight.direct(table, image, height, 1, geodetic, flags)
     seen = has_result(flags)
     if seen.sum() < 40:
         raise GeometryError(
             "rigorous model: its lines of sight miss the Earth; "
             "wrong quaternion order, frame or look angles?"
         )
-    kernels.rays(table, image, height, 1, origin, direction, flags)
+    sight.rays(table, image, height, 1, origin, direction, flags)
     ground = geodetic_to_ecef(geodetic[seen])
     image, origin = image[seen], origin[seen]
     centre = ground[np.argmin(np.sum((ground - ground.mean(axis=0)) ** 2, axis=1))]

@@ -27,8 +27,8 @@ from geoposition.flags import Flag
 from geoposition.intersect import MIN_CONVERGENCE_RAD
 from geoposition.observations import Ids, TiePoints
 from geoposition.sensor_model import SensorModel
-from geoposition.triangulate_dense import triangulate_pairs
-from geoposition.triangulate_solve import (
+from geoposition.triangulate.dense import triangulate_pairs
+from geoposition.triangulate.solve import (
     RAY_TOLERANCE_M,
     STEP_TOLERANCE_M,
     Part,

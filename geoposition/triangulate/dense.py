@@ -11,8 +11,8 @@ from geoposition.arrays import FloatArray, as_components
 from geoposition.errors import ArgumentError
 from geoposition.intersect import MIN_CONVERGENCE_RAD, PairIntersections, intersect_pairs
 from geoposition.sensor_model import SensorModel
-from geoposition.triangulate_solve import MORE_RAYS, RAY_TOLERANCE_M
-from geoposition.triangulate_start import height_range_m, height_start
+from geoposition.triangulate.solve import MORE_RAYS, RAY_TOLERANCE_M
+from geoposition.triangulate.start import height_range_m, height_start
 
 _CHUNK: Final = 1 << 15
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from geoposition.arrays import FloatArray
 from geoposition.observations import TiePoints
-from geoposition.triangulate import IntersectedPoints
+from geoposition.triangulate.points import IntersectedPoints
 
 _NMAD: Final = 1.4826
 _MEDIAN_VARIANCE: Final = np.pi / 2.0

@@ -15,7 +15,7 @@ from geoposition.attitude import Attitude
 from geoposition.camera import Camera
 from geoposition.ephemeris import Ephemeris
 from geoposition.errors import ArgumentError, GeometryError
-from geoposition.piecewise import PiecewiseCubic, merge_knots, tabulate
+from geoposition.pushbroom.piecewise import PiecewiseCubic, merge_knots, tabulate
 
 POSITION_TOLERANCE_M = 1e-6
 ROTATION_TOLERANCE = 5e-13

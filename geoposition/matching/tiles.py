@@ -9,10 +9,10 @@ from math import gcd
 import numpy as np
 
 from geoposition.errors import ArgumentError, GeometryError
-from geoposition.matching_guide import Guide, guide, search_window
-from geoposition.matching_image import ImageSource, Window
+from geoposition.matching.guide import Guide, guide, search_window
+from geoposition.matching.image import ImageSource, Window
 from geoposition.sensor_model import SensorModel
-from geoposition.triangulate_start import height_range_m
+from geoposition.triangulate.start import height_range_m
 
 APRON_PX = 32
 """How far beyond its window a tile is read, so that features at the edge are found."""

@@ -17,7 +17,7 @@ from numba import njit, prange
 
 from geoposition.arrays import FloatArray
 from geoposition.flags import has_result
-from geoposition.pushbroom import cubic_terms
+from geoposition.pushbroom.model import cubic_terms
 from geoposition.sensor_model import SensorModel
 
 _GRID: Final = 12

@@ -21,18 +21,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from geoposition import matching_candidates as candidates
 from geoposition.arrays import BoolArray, FloatArray, IntArray
 from geoposition.errors import ArgumentError, GeometryError
-from geoposition.matching_filter import (
+from geoposition.matching import candidates
+from geoposition.matching.filter import (
     common_offset,
     first_of_place,
     like_neighbours,
     near_offset,
 )
-from geoposition.matching_image import ImageSource, Window, open_image, stretched
-from geoposition.matching_refine import refine
-from geoposition.matching_tiles import APRON_PX, MatchOptions, Tile, common_tiles, spread
+from geoposition.matching.image import ImageSource, Window, open_image, stretched
+from geoposition.matching.refine import refine
+from geoposition.matching.tiles import APRON_PX, MatchOptions, Tile, common_tiles, spread
 from geoposition.observations import TiePoints
 from geoposition.sensor_model import SensorModel
 

@@ -1,0 +1,7 @@
+"""Image points of several models to ground points, and how far the models disagree."""
+
+from geoposition.triangulate.bias import RelativeBias, relative_bias
+from geoposition.triangulate.dense import triangulate_pairs
+from geoposition.triangulate.points import IntersectedPoints, triangulate
+
+__all__ = ["IntersectedPoints", "RelativeBias", "relative_bias", "triangulate", "triangulate_pairs"]
