@@ -56,7 +56,7 @@ class RasterTerrain:
         See `open_lattice`; and heights whose vertical datum contradicts `geoid`.
     """
 
-    __slots__ = ("_provenance", "_store")
+    __slots__ = ("_arguments", "_provenance", "_store")
 
     def __init__(
         self,
@@ -72,6 +72,11 @@ class RasterTerrain:
         self._provenance = vertical_facts(lattice, None if geoid is None else named)
         grid = Geoid.from_file(geoid) if isinstance(geoid, str | PathLike) else geoid
         self._store = HeightStore(lattice, grid, max_nodes)
+        self._arguments = (several, geoid, max_nodes)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # other processes open the files anew
+        return RasterTerrain, self._arguments
 
     @property
     def provenance(self) -> tuple[str, ...]:

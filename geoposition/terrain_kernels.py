@@ -95,8 +95,14 @@ def _finish(
 
 
 @njit(**LONG)
-def _expand(rays: FloatArray, terms: FloatArray, bend_height_m: float) -> None:
-    """Expand a group of rays, each where it has its hint of a height (or is lowest)."""
+def _expand(
+    rays: FloatArray, terms: FloatArray, bend_height_m: float, top_m: float, bottom_m: float
+) -> None:
+    """Expand a group of rays, each where it has its hint of a height (or is lowest).
+
+    Two more terms follow those of `series`: how far it is to the top and to the bottom by the
+    expansion, NaN where it gets there never or upwards.
+    """
     for m in range(GROUP):
         ox, oy, oz = rays[m], rays[GROUP + m], rays[2 * GROUP + m]
         dx, dy, dz = rays[3 * GROUP + m], rays[4 * GROUP + m], rays[5 * GROUP + m]
@@ -118,6 +124,13 @@ def _expand(rays: FloatArray, terms: FloatArray, bend_height_m: float) -> None:
             terms,
             m,
         )
+        h0, h1, h2 = terms[4 * GROUP + m], terms[5 * GROUP + m], terms[6 * GROUP + m]
+        falls = h1 if h1 < 0.0 else math.nan
+        top_root = math.sqrt(h1 * h1 - 4.0 * h2 * (h0 - top_m))
+        bottom_root = math.sqrt(h1 * h1 - 4.0 * h2 * (h0 - bottom_m))
+        slack = 0.01 / falls
+        terms[TERMS * GROUP + m] = 2.0 * (h0 - top_m) / (top_root - falls) + slack
+        terms[(TERMS + 1) * GROUP + m] = 2.0 * (h0 - bottom_m) / (bottom_root - falls) - slack
 
 
 @njit(**LONG)
@@ -153,13 +166,9 @@ def _cross(
         reach = -1.0
         if segment == 0:
             # the way from top to bottom, by the expansion where it reaches that far
-            disc_top = h1 * h1 - 4.0 * h2 * (h0 - top_m)
-            disc_bottom = h1 * h1 - 4.0 * h2 * (h0 - bottom_m)
-            if h1 < 0.0 and disc_top > 0.0 and disc_bottom > 0.0:
-                up = 2.0 * (h0 - top_m) / (-h1 + math.sqrt(disc_top)) + 0.01 / h1
-                down = 2.0 * (h0 - bottom_m) / (-h1 + math.sqrt(disc_bottom)) - 0.01 / h1
-                if centre + up >= 0.0 and -up * up * up < limit and down * down * down < limit:
-                    start, end, reach = centre + up, centre + down, down
+            up, down = terms[TERMS * GROUP + m], terms[(TERMS + 1) * GROUP + m]
+            if centre + up >= 0.0 and -up * up * up < limit and down * down * down < limit:
+                start, end, reach = centre + up, centre + down, down
             if reach < 0.0:
                 start, leave = shell_ranges(ox, oy, oz, dx, dy, dz, top_m + _SHELL_SLACK_M)
                 if math.isnan(start) or leave < 0.0:
@@ -257,7 +266,7 @@ def crossings(
     hinted = hint_m.shape[0] > 0
     for batch in prange(-(-n // _BATCH)):
         hint = 0.5 * (top_m + bottom_m)
-        terms = np.empty(TERMS * GROUP)
+        terms = np.empty((TERMS + 2) * GROUP)
         rays = np.zeros(14 * GROUP)
         end = min((batch + 1) * _BATCH, n)
         for first in range(batch * _BATCH, end, GROUP):
@@ -273,7 +282,7 @@ def crossings(
                         rays[(6 + axis) * GROUP + m], rays[(9 + axis) * GROUP + m] = bend_terms(
                             bend, k, axis
                         )
-            _expand(rays, terms, bend.height_m)
+            _expand(rays, terms, bend.height_m, top_m, bottom_m)
             for m in range(count):
                 k = first + m
                 status[k] = BAD

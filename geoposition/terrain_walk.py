@@ -249,6 +249,22 @@ def walk(
                 elif a2 > 0.0 and a1 < 0.0 and a1 > -2.0 * a2 and disc >= 0.0:
                     part = 2.0 * f0 / (-a1 + math.sqrt(disc))
                 if part >= 0.0:
+                    # one Newton step on this patch mostly is all there is to do
+                    s_met = s + min(part, 1.0) * ds
+                    v_row, v_col = r1 + 2.0 * s_met * r2, c1 + 2.0 * s_met * c2
+                    x, y = c0 + s_met * (c1 + s_met * c2) - j, r0 + s_met * (r1 + s_met * r2) - i
+                    f0 = h0 + s_met * (h1 + s_met * h2) - z00 - by_x * x - (by_y + by_xy * x) * y
+                    step = f0 / (
+                        (by_y + by_xy * x) * v_row
+                        + (by_x + by_xy * y) * v_col
+                        - h1
+                        - 2.0 * s_met * h2
+                    )
+                    x += step * v_col
+                    y += step * v_row
+                    inside = x >= 0.0 and x <= 1.0 and y >= 0.0 and y <= 1.0
+                    if inside and abs(step) < 1e-3:
+                        return CROSSED, s_met + step, over
                     met, s_met = _settle(
                         height_m, r0, r1, r2, c0, c1, c2, h0, h1, h2, s + min(part, 1.0) * ds
                     )

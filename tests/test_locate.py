@@ -42,10 +42,10 @@ class SlidingCamera:
         line, sample = image_px[..., 0], image_px[..., 1]
         centre = geodetic_to_ecef(np.array([LON0, LAT0, 0.0]))
         axes = enu_axes(np.array([LON0, LAT0, 0.0]))
-        east = -600e3 * self.tilt + 0.0 * line
+        east = np.full(line.shape, -600e3 * self.tilt)
         origin = np.stack([east, line - 1000.0, np.full(line.shape, 600e3)], axis=-1)
         slope = self.tilt + (sample - 1000.0) * 1.5 / 600e3
-        down = np.stack([slope, 0.0 * line, -np.ones(line.shape)], axis=-1)
+        down = np.stack([slope, np.zeros(line.shape), -np.ones(line.shape)], axis=-1)
         down /= np.linalg.norm(down, axis=-1, keepdims=True)
         flag = np.zeros(line.shape, dtype=np.uint8)
         inside = np.all((image_px > -0.5) & (image_px < np.array(self.shape) - 0.5), axis=-1)
@@ -213,7 +213,8 @@ def test_bad_points_among_many_cost_the_others_nothing(terrain: RasterTerrain) -
     assert not np.any(np.isin(found.flag[lost], [Flag.OK, Flag.OUTSIDE_IMAGE]))
     good = locate(model, image[~lost], terrain)
     np.testing.assert_array_equal(found.flag[~lost], good.flag)
-    np.testing.assert_allclose(found.geodetic[~lost], good.geodetic, rtol=0, atol=1e-4)
+    # two fits of the bending, each right to 1e-4 m aside, on slopes of up to 10
+    np.testing.assert_allclose(found.geodetic[~lost], good.geodetic, rtol=0, atol=1e-3)
     nothing = locate(model, np.full((6000, 2), np.nan), terrain)
     assert np.all(np.isnan(nothing.geodetic))
 

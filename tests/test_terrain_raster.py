@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import pickle
 import warnings
 from pathlib import Path
 
@@ -341,6 +342,36 @@ def test_ground_below_all_dry_land_is_found_in_windows(tmp_path: Path) -> None:
     found = terrain.first_crossing(straight_down(place, 0.2))
     assert found.flag[0] == Flag.OK
     np.testing.assert_allclose(found.geodetic, place, atol=1e-6)
+
+
+def test_a_vrt_over_tiles_is_one_raster(tmp_path: Path) -> None:
+    height = np.random.default_rng(0).uniform(0, 1000, (40, 60))
+    write(tmp_path / "a.tif", height[:, :30], degrees(5.0, 45.0, 0.01))
+    write(tmp_path / "b.tif", height[:, 30:], degrees(5.3, 45.0, 0.01))
+    source = """<SimpleSource><SourceFilename relativeToVRT="1">{name}</SourceFilename>
+      <SourceBand>1</SourceBand><SrcRect xOff="0" yOff="0" xSize="30" ySize="40"/>
+      <DstRect xOff="{at}" yOff="0" xSize="30" ySize="40"/></SimpleSource>"""
+    (tmp_path / "both.vrt").write_text(
+        """<VRTDataset rasterXSize="60" rasterYSize="40"><SRS>EPSG:4326</SRS>
+        <GeoTransform>5.0, 0.01, 0.0, 45.0, 0.0, -0.01</GeoTransform>
+        <VRTRasterBand dataType="Float64" band="1">"""
+        + source.format(name="a.tif", at=0)
+        + source.format(name="b.tif", at=30)
+        + "</VRTRasterBand></VRTDataset>"
+    )
+    lon, lat = node_grid(degrees(5.0, 45.0, 0.01), 40, 60)
+    nodes = np.radians(np.stack([lon, lat], axis=-1))
+    for paths in (tmp_path / "both.vrt", [tmp_path / "a.tif", tmp_path / "b.tif"]):
+        found = RasterTerrain(paths).height_at(nodes)
+        np.testing.assert_allclose(found.height_m, height, atol=1e-6)
+        across = RasterTerrain(paths).height_at(cell_means(nodes)[:, 29])
+        np.testing.assert_allclose(across.height_m, cell_means(height)[:, 29], atol=1e-6)
+
+
+def test_terrain_goes_to_other_processes(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", np.full((20, 20), 7.0), degrees(5.0, 45.0, 0.01))
+    copy = pickle.loads(pickle.dumps(RasterTerrain(path)))
+    assert copy.height_at(np.radians([5.1, 44.9])).height_m == pytest.approx(7.0)
 
 
 def test_height_range_over_a_region(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ errors, and depends on the terrain.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Final
 
@@ -142,11 +143,12 @@ def _fit(
         )
     normal = Normalisation.of(samples, shape)
     image, ground = normal.image(samples.image_px), normal.ground(samples.geodetic)
-    inverse, warnings = _tame_inverse(normal, ground, image, options)
     region = FittedRegion.of(samples)
-    rpc = replace(build_model(normal, inverse, shape), validity=region.validity)
-    if direct:
-        rpc = replace(rpc, direct=build_direct(normal, image, ground, options))
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        other = beside.submit(build_direct, normal, image, ground, options) if direct else None
+        inverse, warnings = _tame_inverse(normal, ground, image, options)
+        rpc = build_model(normal, inverse, shape)
+    rpc = replace(rpc, validity=region.validity, direct=other.result() if other else None)
     return describe_fit(rpc, region, inverse, normal, warnings)
 
 
@@ -157,7 +159,7 @@ def _tame_inverse(
     first = inverse = fit_inverse(ground, image, normal.image_scale_px, options)
     limit = max(_COSTS_LITTLE * _largest_px(first, normal), 100.0 * options.floor)
     while cube_range(inverse.den)[:, 0].min() < _LEAST_IN_CUBE:
-        strength = 100.0 * float(inverse.ratios.strength.max())
+        strength = 100.0 * float(inverse.ratios.strength.min())
         inverse = fit_inverse(
             ground, image, normal.image_scale_px, replace(options, least_strength=strength)
         )

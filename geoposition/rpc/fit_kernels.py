@@ -2,23 +2,21 @@
 
 The products of the fit's columns are polynomials times powers of the residual from an affine
 function. Summing monomials instead of columns takes one pass over the points, no matrix, and a
-few per cent of the time of a least-squares solution.
+few per cent of the time of a least-squares solution. The loops run in one thread and without
+the interpreter's lock: the two directions of a fit are what runs side by side.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from geoposition.arrays import FloatArray, IntArray
 from geoposition.rpc.kernel_base import FAST, cubic
 
 _BLOCK = 128
-_CHUNKS = 16
-"""Parts of the points, added up in this order whatever the number of threads."""
 
-
-@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def moments(
     x: FloatArray,
     target: FloatArray,
@@ -42,34 +40,21 @@ def moments(
 
     Returns the sums (2, 5, size), Σ p e² (2), and the extremes (2, 2) of D.
     """
-    n = x.shape[1]
-    size = sizes[0]
-    part = np.zeros((_CHUNKS, 10, size))
-    facts = np.zeros((_CHUNKS, 2, 3))
-    step = (n + _CHUNKS - 1) // _CHUNKS
-    for chunk in prange(_CHUNKS):
-        mono, w = np.empty((size, _BLOCK)), np.zeros((10, _BLOCK))
-        points, work = np.zeros((3, _BLOCK)), np.zeros((6, _BLOCK))
-        facts[chunk, :, 1], facts[chunk, :, 2] = np.inf, -np.inf
-        for begin in range(chunk * step, min(n, (chunk + 1) * step), _BLOCK):
-            used = min(_BLOCK, min(n, (chunk + 1) * step) - begin)
-            _load(x, target, weight, begin, used, points, work)
-            _monomials(points, parent, variable, mono)
-            for axis in range(2):
-                _weights(
-                    mono, work, affine[axis], num[axis], den[axis], newton, axis, w,
-                    facts[chunk, axis],
-                )  # fmt: skip
-            _add(mono, w, sizes, newton, part[chunk])
-    sums, squares, extremes = np.zeros((2, 5, size)), np.zeros(2), np.ones((2, 2))
-    for axis in range(2):
-        extremes[axis, 0] = facts[:, axis, 1].min()
-        extremes[axis, 1] = facts[:, axis, 2].max()
-        for chunk in range(_CHUNKS):
-            squares[axis] += facts[chunk, axis, 0]
-            for i in range(5):
-                sums[axis, i] += part[chunk, 2 * i + axis]
-    return sums, squares, extremes
+    n, size = x.shape[1], sizes[0]
+    part, facts = np.zeros((10, size)), np.zeros((2, 3))
+    facts[:, 1], facts[:, 2] = np.inf, -np.inf
+    mono, w = np.empty((size, _BLOCK)), np.zeros((10, _BLOCK))
+    points, work = np.zeros((3, _BLOCK)), np.zeros((6, _BLOCK))
+    for begin in range(0, n, _BLOCK):
+        _load(x, target, weight, begin, min(_BLOCK, n - begin), points, work)
+        _monomials(points, parent, variable, mono)
+        for axis in range(2):
+            _weights(mono, work, affine[axis], num[axis], den[axis], newton, axis, w, facts[axis])
+        _add(mono, w, sizes, newton, part)
+    sums = np.empty((2, 5, size))
+    for i in range(5):
+        sums[0, i], sums[1, i] = part[2 * i], part[2 * i + 1]
+    return sums, facts[:, 0].copy(), facts[:, 1:].copy()
 
 
 @njit(fastmath=FAST, error_model="numpy")
@@ -191,12 +176,12 @@ def _add(mono: FloatArray, w: FloatArray, sizes: IntArray, newton: bool, part: F
             part[9, j] += d
 
 
-@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def residuals(
     x: FloatArray, target: FloatArray, num: FloatArray, den: FloatArray, out: FloatArray
 ) -> None:
     """Put r − N/D of two `target` (2, n) at `x` (3, n) into `out` (2, n)."""
-    for i in prange(x.shape[1]):
+    for i in range(x.shape[1]):
         u, v, w = x[0, i], x[1, i], x[2, i]
         for axis in range(2):
             top = cubic(num[axis], 0, u, v, w)

@@ -101,10 +101,18 @@ class Damped:
         out[self.free] = self.lift[:, -1] - self.lift[:, :-1] @ damped
         return out
 
-    def covariance(self, strength: float, mean_square: float) -> tuple[float, FloatArray]:
-        """Effective number of parameters, and the covariance for a mean squared residual."""
-        used = float(self.free.sum() + (self.values / (self.values + strength)).sum())
-        variance = mean_square / max(self.rows - used, 1.0)
+    def used(self, strength: float) -> float:
+        """Effective number of parameters with this damping."""
+        return float(self.free.sum() + (self.values / (self.values + strength)).sum())
+
+    def covariance(self, strength: float, mean_square: float) -> FloatArray:
+        """Covariance of all parameters for a mean squared residual of one equation."""
+        variance = mean_square / max(self.rows - self.used(strength), 1.0)
+        inverse = self.damped_inverse(strength)
+        return variance * inverse @ self.gram @ inverse
+
+    def damped_inverse(self, strength: float) -> FloatArray:
+        """Inverse of the whole damped matrix."""
         lift = self.lift[:, :-1]
         damped = (self.vectors / (self.values + strength)) @ self.vectors.T
         inverse = np.empty_like(self.gram)
@@ -112,7 +120,7 @@ class Damped:
         inverse[np.ix_(self.free, ~self.free)] = across = -lift @ damped
         inverse[np.ix_(~self.free, self.free)] = across.T
         inverse[np.ix_(self.free, self.free)] = self.inverse - across @ lift.T
-        return used, variance * inverse @ self.gram @ inverse
+        return inverse
 
 
 def symmetric_inverse(matrix: FloatArray) -> FloatArray:

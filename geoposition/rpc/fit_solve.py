@@ -17,7 +17,7 @@ import numpy as np
 
 from geoposition.arrays import FloatArray, IntArray
 from geoposition.errors import GeometryError
-from geoposition.rpc.fit_basis import count, recipe
+from geoposition.rpc.fit_basis import count, monomials, recipe
 from geoposition.rpc.fit_columns import Columns, affine_parts, moment_sizes
 from geoposition.rpc.fit_kernels import moments, residuals
 from geoposition.rpc.fit_ridge import Damped
@@ -43,7 +43,8 @@ class Ratios:
 
     `strength` (2) is the damping chosen, `den_range` (2, 2) holds each denominator's extremes
     at the points, `residual` (2, n) is what is left, in targets, `effective` (2) the number of
-    parameters that the points determine. `covariance` (2, 40, 40) is of (num, den).
+    parameters that the points determine. `covariance` (2, 40, 40) is of (num, den). `leverage`
+    (2, n) is how much of its own error each point takes, where numerators were damped.
     """
 
     num: FloatArray
@@ -53,6 +54,7 @@ class Ratios:
     residual: FloatArray
     effective: FloatArray
     covariance: FloatArray
+    leverage: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,18 +222,36 @@ class _Fit:
         residual = self.residual()
         square = (weights * residual**2).mean(axis=1) * self.unit**2
         effective, covariance = np.zeros(2), np.zeros((2, 40, 40))
+        leverage = np.zeros(self.target.shape) if self.options.damp_numerators else None
         for system, damped in zip(self.systems, systems, strict=True):
             targets = list(system)
-            used, whole = damped.covariance(
-                float(self.strength[targets[0]]), float(square[targets].sum())
-            )
+            strength = float(self.strength[targets[0]])
+            # Over all targets of the system: its equations are theirs together.
+            whole = damped.covariance(strength, float(square[targets].sum()))
             for i, places in system.items():
-                effective[i] = used / len(system)
+                effective[i] = damped.used(strength) / len(system)
                 to = np.concatenate([self.columns[i].to_num, self.columns[i].to_den])
                 covariance[i] = to @ whole[np.ix_(places, places)] @ to.T
+                if leverage is not None:
+                    inverse = damped.damped_inverse(strength)[np.ix_(places, places)]
+                    rows = self.unit[i] * self._rows(i)
+                    share = weights[i] / weights[i].sum()
+                    leverage[i] = share * np.sum((rows @ inverse) * rows, axis=1)
         return Ratios(
-            self.num, self.den, self.strength, self.den_range, residual, effective, covariance
-        )
+            self.num, self.den, self.strength, self.den_range, residual, effective, covariance,
+            leverage,
+        )  # fmt: skip
+
+    def _rows(self, i: int) -> FloatArray:
+        """Columns of the equations of one target at the points, (n, k)."""
+        terms = monomials(self.x, max(self.options.degree + 1, 3))
+        ratio = (self.num[i] @ terms[:20]) / (self.den[i] @ terms[:20])
+        delta = ratio - self.affine[i] @ terms[:4]
+        columns = self.columns[i]
+        low = terms[: columns.q.shape[1]]
+        return np.asarray((columns.p @ terms[: columns.p.shape[1]] + delta * (columns.q @ low)).T) / (
+            self.den[i] @ terms[:20]
+        )[:, None]
 
 
 def _systems(numerators: int, size: int, equal: bool) -> list[dict[int, IntArray]]:
