@@ -9,6 +9,7 @@ from numba import njit, prange
 
 from geoposition.arrays import FlagArray, FloatArray, IntArray
 from geoposition.constants import EARTH_RATE_RAD_S, WGS84_A_M, WGS84_E2
+from geoposition.pushbroom.angles import fill_normals
 from geoposition.pushbroom.lanes import (
     AT_END,
     B_OVER_A2,
@@ -206,13 +207,12 @@ def _begin(
             image_px[i, 0] = np.nan
             image_px[i, 1] = np.nan
             continue
-        sin_lat, cos_lat = math.sin(lat), math.cos(lat)
-        w[NX * LANES + good] = cos_lat * math.cos(lon)
-        w[NY * LANES + good] = cos_lat * math.sin(lon)
-        w[NZ * LANES + good] = sin_lat
+        w[LINE * LANES + good] = lon
+        w[SAMPLE * LANES + good] = lat
         w[HEIGHT * LANES + good] = h
         ids[good] = i
         good += 1
+    fill_normals(m, w, good)
     for i in range(full_vectors(good)):
         nx, ny, nz = w[NX * LANES + i], w[NY * LANES + i], w[NZ * LANES + i]
         h = w[HEIGHT * LANES + i]

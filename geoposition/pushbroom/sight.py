@@ -9,6 +9,7 @@ from numba import njit, prange
 
 from geoposition.arrays import FlagArray, FloatArray
 from geoposition.constants import EARTH_RATE_RAD_S, WGS84_A_M, WGS84_E2
+from geoposition.pushbroom.angles import write_geodetic
 from geoposition.pushbroom.lanes import (
     B_M,
     B_OVER_A2,
@@ -216,14 +217,7 @@ def direct(
         for first in range(task * size, min((task + 1) * size, total), LANES):
             n = min(LANES, total - first)
             _see_block(m, w, image_px, height_m, height_step, flags, first, n)
-            for i in range(n):
-                gx, gy, gz = w[GX * LANES + i], w[GY * LANES + i], w[GZ * LANES + i]
-                radius, h = w[RADIUS * LANES + i], w[HEIGHT * LANES + i]
-                p = math.sqrt(gx * gx + gy * gy) * (1.0 - WGS84_E2 * radius / (radius + h))
-                # gx is NaN where there is no result, and so is all that follows from it.
-                geodetic[first + i, 0] = math.atan2(gy, gx)
-                geodetic[first + i, 1] = math.atan2(gz, p)
-                geodetic[first + i, 2] = h + 0.0 * gx
+            write_geodetic(m, w, n, geodetic[first : first + n])
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
