@@ -16,7 +16,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geoposition.arrays import FlagArray, FloatArray, as_components
+from geoposition.arrays import FlagArray, FloatArray, IntArray, as_components
 from geoposition.constants import WGS84_A_M
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import ArgumentError
@@ -114,16 +114,29 @@ def _locate_bent(
     rays = model.rays(image_px, bend.height_m)
     crossing = terrain.first_crossing(rays, bend=bend)
     geodetic, flag = crossing.geodetic, crossing.flag
-    found = np.flatnonzero(flag == Flag.OK)
-    if found.size:
-        height_m = geodetic[found, 2]
-        spread = np.linspace(0, len(found) - 1, _SAMPLE).astype(np.int64)
-        check = found[np.concatenate([[np.argmin(height_m), np.argmax(height_m)], spread])]
+    check = _witnesses(geodetic[:, 2])
+    if check.size:
         exact = model.image_to_ground(image_px[check], geodetic[check, 2]).geodetic
         if not np.max(_apart_m(exact, geodetic[check])) <= LATERAL_TOLERANCE_M:
             return None
-    flag[(rays.flag == Flag.OUTSIDE_IMAGE) & (flag == Flag.OK)] = Flag.OUTSIDE_IMAGE
+    aside = rays.flag == Flag.OUTSIDE_IMAGE
+    if aside.any():
+        flag[aside & (flag == Flag.OK)] = Flag.OUTSIDE_IMAGE
     return geodetic, flag
+
+
+def _witnesses(height_m: FloatArray) -> IntArray:
+    """Pick some of the found points: spread over all, and the lowest and highest."""
+    low, high = int(np.argmin(height_m)), int(np.argmax(height_m))
+    if np.isnan(height_m[low]):  # not all were found
+        found = np.flatnonzero(np.isfinite(height_m))
+        if not found.size:
+            return found
+        low, high = found[np.argmin(height_m[found])], found[np.argmax(height_m[found])]
+        spread = found[np.linspace(0, len(found) - 1, _SAMPLE).astype(np.int64)]
+    else:
+        spread = np.linspace(0, len(height_m) - 1, _SAMPLE).astype(np.int64)
+    return np.concatenate([[low, high], spread])
 
 
 def _locate(

@@ -129,8 +129,9 @@ class RasterTerrain:
         flag: FlagArray = _FLAGS[search.status]
         keep_flags(rays, flag)
         lost = flag != Flag.OK
-        search.range_m[lost] = np.nan
-        search.geodetic[lost] = np.nan
+        if lost.any():
+            search.range_m[lost] = np.nan
+            search.geodetic[lost] = np.nan
         return Crossings(
             search.range_m.reshape(shape), search.geodetic.reshape(*shape, 3), flag.reshape(shape)
         )
@@ -258,8 +259,8 @@ class _Search:
         n = len(origin)
         self.origin, self.direction, self.hint, self.bend = origin, direction, hint, bend
         self.status: FlagArray = np.full(n, BAD, dtype=np.uint8)
-        self.range_m = np.full(n, np.nan)
-        self.geodetic = np.full((n, 3), np.nan)
+        self.range_m = np.empty(n)
+        self.geodetic = np.empty((n, 3))
 
     def run(self, grid: Grid, index: IntArray | None, top_m: float, bottom_m: float) -> None:
         """Cross the rays `index` (all, if none is given) with a grid."""

@@ -184,7 +184,8 @@ def keep_flags(rays: Rays, flag: FlagArray) -> None:
     """Put the rays' own reason, where they have no line of sight, before the terrain's."""
     own = np.broadcast_to(rays.flag, rays.origin_ecef_m.shape[:-1]).reshape(-1)
     lost = own > Flag.OUTSIDE_IMAGE
-    flag[lost] = own[lost]
+    if lost.any():
+        flag[lost] = own[lost]
 
 
 @dataclass(frozen=True, slots=True)

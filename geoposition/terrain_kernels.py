@@ -55,7 +55,7 @@ UNSETTLED: Final = 5
 BAD: Final = 6
 """Statuses beyond those of `terrain_walk`."""
 
-_BATCH: Final = 256
+_BATCH: Final = 2048
 _WALK_M3: Final = 1e-3
 """(expansion length)³ / (distance from the axis)² below which the walk is right to about 1 mm."""
 _EXACT_M3: Final = 1e-6
@@ -78,19 +78,26 @@ def _finish(
     rate_col: float,
 ) -> tuple[float, float, float, float]:
     """Newton steps through the table itself: (s, lon, lat, height) of the crossing."""
-    x, y, z, h = 0.0, 0.0, 0.0, 0.0
     for _ in range(10):
-        x = nx[0] + s * (nx[1] + s * nx[2])
-        y = ny[0] + s * (ny[1] + s * ny[2])
-        z = nz[0] + s * (nz[1] + s * nz[2])
-        h = height[0] + s * (height[1] + s * height[2])
-        row, col = normal_position(grid, x, y, z)
+        row, col = normal_position(
+            grid,
+            nx[0] + s * (nx[1] + s * nx[2]),
+            ny[0] + s * (ny[1] + s * ny[2]),
+            nz[0] + s * (nz[1] + s * nz[2]),
+        )
         ground, by_row, by_col = patch(grid.height_m, row, col)
         up = height[1] + 2.0 * s * height[2]
+        h = height[0] + s * (height[1] + s * height[2])
         step = (ground - h) / (up - by_row * rate_row - by_col * rate_col)
-        if abs(h - ground) < 1e-7 or not abs(step) < 1.0:
+        if not abs(step) < 1.0:
             break
         s += step
+        if abs(step) < 1e-3:  # what is left is of the order of its square
+            break
+    x = nx[0] + s * (nx[1] + s * nx[2])
+    y = ny[0] + s * (ny[1] + s * ny[2])
+    z = nz[0] + s * (nz[1] + s * nz[2])
+    h = height[0] + s * (height[1] + s * height[2])
     return s, math.atan2(y, x), math.atan2(z, math.sqrt(x * x + y * y)), h
 
 
@@ -133,7 +140,7 @@ def _expand(
         terms[(TERMS + 1) * GROUP + m] = 2.0 * (h0 - bottom_m) / (bottom_root - falls) - slack
 
 
-@njit(**LONG)
+@njit(**SCALAR)
 def _cross(
     grid: Grid,
     bend_height_m: float,
@@ -242,6 +249,35 @@ def _cross(
     return UNSETTLED, nan, nan, nan, nan
 
 
+@njit(**LONG)
+def _cross_group(
+    grid: Grid,
+    bend_height_m: float,
+    top_m: float,
+    bottom_m: float,
+    rays: FloatArray,
+    terms: FloatArray,
+    hint_m: float,
+    status: FlagArray,
+    range_m: FloatArray,
+    geodetic: FloatArray,
+) -> float:
+    """Cross the rays of a group; return the last height found, `hint_m` if none was."""
+    for m in range(status.shape[0]):
+        status[m] = BAD
+        range_m[m] = geodetic[m, 0] = geodetic[m, 1] = geodetic[m, 2] = math.nan
+        sums = rays[m] + rays[GROUP + m] + rays[2 * GROUP + m]
+        sums *= rays[3 * GROUP + m] + rays[4 * GROUP + m] + rays[5 * GROUP + m]
+        if not abs(sums) < math.inf:
+            continue
+        status[m], range_m[m], geodetic[m, 0], geodetic[m, 1], geodetic[m, 2] = _cross(
+            grid, bend_height_m, top_m, bottom_m, rays, terms, m
+        )
+        if status[m] == CROSSED:
+            hint_m = geodetic[m, 2]
+    return hint_m
+
+
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
 def crossings(
     grid: Grid,
@@ -283,23 +319,18 @@ def crossings(
                             bend, k, axis
                         )
             _expand(rays, terms, bend.height_m, top_m, bottom_m)
-            for m in range(count):
-                k = first + m
-                status[k] = BAD
-                range_m[k] = geodetic[k, 0] = geodetic[k, 1] = geodetic[k, 2] = math.nan
-                sums = rays[0 * GROUP + m] + rays[1 * GROUP + m] + rays[2 * GROUP + m]
-                if (
-                    not abs(
-                        sums * (rays[3 * GROUP + m] + rays[4 * GROUP + m] + rays[5 * GROUP + m])
-                    )
-                    < math.inf
-                ):
-                    continue
-                status[k], range_m[k], geodetic[k, 0], geodetic[k, 1], geodetic[k, 2] = _cross(
-                    grid, bend.height_m, top_m, bottom_m, rays, terms, m
-                )
-                if status[k] == CROSSED:
-                    hint = geodetic[k, 2]
+            hint = _cross_group(
+                grid,
+                bend.height_m,
+                top_m,
+                bottom_m,
+                rays,
+                terms,
+                hint,
+                status[first : first + count],
+                range_m[first : first + count],
+                geodetic[first : first + count],
+            )
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
