@@ -21,12 +21,12 @@ from geoposition.constants import WGS84_A_M
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import ArgumentError
 from geoposition.flags import Flag
-from geoposition.raster_terrain import RasterTerrain
 from geoposition.rays import Rays
 from geoposition.sensor_model import GroundPoints, SensorModel
 from geoposition.terrain import ConstantTerrain, Terrain
-from geoposition.terrain_bending import fit_bend
-from geoposition.terrain_series import Bend
+from geoposition.terrain.bending import fit_bend
+from geoposition.terrain.raster import RasterTerrain
+from geoposition.terrain.series import Bend
 
 Progress: TypeAlias = Callable[[int, int], None]
 

@@ -15,12 +15,12 @@ from geoposition.errors import ProductError
 from geoposition.locate import locate
 from geoposition.observations import TiePoints
 from geoposition.pushbroom import PushbroomModel
-from geoposition.raster_terrain import RasterTerrain
 from geoposition.scripts import cli
 from geoposition.scripts.demo_folder import MARK_KEY, check_folder, whole_folder
 from geoposition.scripts.tables import read_table
 from geoposition.sensors.readers import open_product
 from geoposition.sensors.simulate import simulate_scene
+from geoposition.terrain.raster import RasterTerrain
 from geoposition.triangulate import triangulate
 
 CAMERAS = ("forward", "nadir", "backward")

@@ -16,10 +16,10 @@ from geoposition.ellipsoid import enu_axes, geodetic_to_ecef
 from geoposition.errors import ArgumentError
 from geoposition.flags import Flag
 from geoposition.locate import _fitted, _locate, _locate_bent, locate
-from geoposition.raster_terrain import RasterTerrain
 from geoposition.rays import Rays
 from geoposition.sensor_model import GroundPoints, ImagePoints, SensorModel
 from geoposition.terrain import AnalyticTerrain, ConstantTerrain, Terrain
+from geoposition.terrain.raster import RasterTerrain
 
 LON0, LAT0 = np.radians(7.1), np.radians(45.9)
 STEP_DEG = 1.0 / 3600.0

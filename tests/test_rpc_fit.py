@@ -78,9 +78,7 @@ def test_moments_are_those_of_plain_sums(newton: bool) -> None:
     num, den = rng.normal(size=(2, 20)), 0.01 * rng.normal(size=(2, 20))
     den[:, 0] = 1.0
     sizes = np.array([165, 120, 84, 35, 20])
-    sums, squares, extremes = moments(
-        x, target, weight, affine, num, den, newton, *recipe(), sizes
-    )
+    sums, squares, extremes = moments(x, target, weight, affine, num, den, newton, *recipe(), sizes)
     mono = monomials(x, 8)
     for axis in range(2):
         d = den[axis] @ mono[:20] if newton else np.ones(x.shape[1])
@@ -215,7 +213,9 @@ def test_every_smooth_scene_is_followed(name: str, heights: tuple[float, float])
         assert getattr(fit.model, part)[0] == 1.0
         assert np.abs(getattr(fit.model, part)[1:]).max() < 0.3
     assert fit.warnings == ()
-    again = compare(model, fit.model, heights_m=np.linspace(*fit.region.height_m, 4), grid=(9, 9, 4))
+    again = compare(
+        model, fit.model, heights_m=np.linspace(*fit.region.height_m, 4), grid=(9, 9, 4)
+    )
     assert max(again.row.max, again.col.max) < 0.01
 
 

@@ -10,7 +10,7 @@ import pytest
 from geoposition.calib_fields.synthetic import fractal_field, synthetic_terrain
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import ArgumentError, ProductError
-from geoposition.raster_terrain import RasterTerrain
+from geoposition.terrain.raster import RasterTerrain
 
 LON, LAT = np.radians(113.0), np.radians(34.5)
 

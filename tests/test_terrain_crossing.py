@@ -15,9 +15,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from geoposition.arrays import FloatArray
 from geoposition.ellipsoid import ecef_to_geodetic, enu_axes, geodetic_to_ecef
 from geoposition.flags import Flag
-from geoposition.raster_terrain import RasterTerrain
 from geoposition.rays import Rays
 from geoposition.terrain import AnalyticTerrain, ConstantTerrain
+from geoposition.terrain.raster import RasterTerrain
 
 STEP_DEG = 1.0 / 3600.0
 ROWS, COLS = 180, 200

@@ -25,8 +25,8 @@ from geoposition.errors import (
     UnsupportedError,
 )
 from geoposition.flags import Flag
-from geoposition.raster_terrain import RasterTerrain
 from geoposition.rays import Rays
+from geoposition.terrain.raster import RasterTerrain
 
 
 def write(

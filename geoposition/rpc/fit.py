@@ -15,7 +15,7 @@ import numpy as np
 
 from geoposition.arrays import FloatArray
 from geoposition.errors import ArgumentError, GeometryError
-from geoposition.rpc.fit_build import RpcFit, build_direct, build_model, describe_fit
+from geoposition.rpc.fit_build import RpcFit, build_direct, build_fit
 from geoposition.rpc.fit_check import check_fit, cube_range
 from geoposition.rpc.fit_grid import Normalisation, Samples, axes, sample_model, widened
 from geoposition.rpc.fit_ratio import Fitted, fit_inverse
@@ -31,7 +31,9 @@ LIMIT_PX: Final = 1.0
 
 _POLAR_DEG: Final = 80.0
 _LEAST_IN_CUBE: Final = 0.3
+_LEAST_DENOMINATOR: Final = 0.5
 _COSTS_LITTLE: Final = 1.5
+_LITTLE_PX: Final = 5e-3
 _LEAST_SAMPLES: Final = 40
 
 
@@ -79,6 +81,8 @@ def fit_model(
     fit = _fit(samples, model.shape, options, direct)
     check = check_fit(model, fit.model, line, samp, height)
     refuse_beyond(limit_px, check.largest_px, fit.region)
+    if check.den_range[:, 0].min() < _LEAST_DENOMINATOR:
+        raise GeometryError("RPC fit: a denominator comes near zero between the nodes of the grid")
     rpc = replace(fit.model, fit_error_px=(check.row.rms, check.col.rms))
     warnings = list(fit.warnings)
     if check.missed:
@@ -137,19 +141,17 @@ def _degree(degree: int) -> int:
 def _fit(
     samples: Samples, shape: tuple[int, int] | None, options: FitOptions, direct: bool
 ) -> RpcFit:
-    if len(samples.image_px) < _LEAST_SAMPLES:
+    if samples.image_px.shape[1] < _LEAST_SAMPLES:
         raise ArgumentError(
-            f"RPC fit: at least {_LEAST_SAMPLES} samples expected, got {len(samples.image_px)}"
+            f"RPC fit: at least {_LEAST_SAMPLES} samples expected, got {samples.image_px.shape[1]}"
         )
     normal = Normalisation.of(samples, shape)
-    image, ground = normal.image(samples.image_px), normal.ground(samples.geodetic)
-    region = FittedRegion.of(samples)
+    image, ground = normal.image(samples), normal.ground(samples)
     with ThreadPoolExecutor(max_workers=1) as beside:
         other = beside.submit(build_direct, normal, image, ground, options) if direct else None
         inverse, warnings = _tame_inverse(normal, ground, image, options)
-        rpc = build_model(normal, inverse, shape)
-    rpc = replace(rpc, validity=region.validity, direct=other.result() if other else None)
-    return describe_fit(rpc, region, inverse, normal, warnings)
+    found = other.result() if other else None
+    return build_fit(normal, inverse, found, FittedRegion.of(samples), shape, warnings)
 
 
 def _tame_inverse(
@@ -157,7 +159,7 @@ def _tame_inverse(
 ) -> tuple[Fitted, tuple[str, ...]]:
     """Damp more where a denominator vanishes in the normalised cube, if that costs little."""
     first = inverse = fit_inverse(ground, image, normal.image_scale_px, options)
-    limit = max(_COSTS_LITTLE * _largest_px(first, normal), 100.0 * options.floor)
+    limit = max(_COSTS_LITTLE * _largest_px(first, normal), _LITTLE_PX)
     while cube_range(inverse.den)[:, 0].min() < _LEAST_IN_CUBE:
         strength = 100.0 * float(inverse.ratios.strength.min())
         inverse = fit_inverse(

@@ -52,32 +52,6 @@ class RpcFit:
         return result
 
 
-def build_model(
-    normal: Normalisation, inverse: Fitted, shape: tuple[int, int] | None
-) -> RpcModel:
-    """RPC with the fitted ground to image; one without an inverse is a `GeometryError`."""
-    try:
-        return RpcModel(
-            line_off_px=float(normal.image_off_px[0]),
-            line_scale_px=float(normal.image_scale_px[0]),
-            samp_off_px=float(normal.image_off_px[1]),
-            samp_scale_px=float(normal.image_scale_px[1]),
-            lon_off_deg=normal.lon_off_deg,
-            lon_scale_deg=float(normal.ground_scale[0]),
-            lat_off_deg=float(normal.ground_off[1]),
-            lat_scale_deg=float(normal.ground_scale[1]),
-            height_off_m=float(normal.ground_off[2]),
-            height_scale_m=float(normal.ground_scale[2]),
-            line_num=inverse.num[0],
-            line_den=inverse.den[0],
-            samp_num=inverse.num[1],
-            samp_den=inverse.den[1],
-            image_shape=shape,
-        )
-    except ArgumentError as error:
-        raise GeometryError(f"RPC fit: the points determine no usable RPC ({error})") from None
-
-
 def build_direct(
     normal: Normalisation, image: FloatArray, ground: FloatArray, options: FitOptions
 ) -> DirectRpc:
@@ -100,21 +74,46 @@ def build_direct(
     )
 
 
-def describe_fit(
-    rpc: RpcModel,
-    region: FittedRegion,
-    inverse: Fitted,
+def build_fit(
     normal: Normalisation,
+    inverse: Fitted,
+    direct: DirectRpc | None,
+    region: FittedRegion,
+    shape: tuple[int, int] | None,
     warnings: tuple[str, ...],
 ) -> RpcFit:
-    """Put the RPC and the facts of its fit together."""
+    """Put the RPC and the facts of its fit together; a `GeometryError` if it has no inverse."""
     ratios = inverse.ratios
     rms = np.sqrt((ratios.residual**2).mean(axis=1)) * normal.image_scale_px
+    rms_px = float(rms[0]), float(rms[1])
+    try:
+        model = RpcModel(
+            line_off_px=float(normal.image_off_px[0]),
+            line_scale_px=float(normal.image_scale_px[0]),
+            samp_off_px=float(normal.image_off_px[1]),
+            samp_scale_px=float(normal.image_scale_px[1]),
+            lon_off_deg=normal.lon_off_deg,
+            lon_scale_deg=float(normal.ground_scale[0]),
+            lat_off_deg=float(normal.ground_off[1]),
+            lat_scale_deg=float(normal.ground_scale[1]),
+            height_off_m=float(normal.ground_off[2]),
+            height_scale_m=float(normal.ground_scale[2]),
+            line_num=inverse.num[0],
+            line_den=inverse.den[0],
+            samp_num=inverse.num[1],
+            samp_den=inverse.den[1],
+            image_shape=shape,
+            fit_error_px=rms_px,
+            direct=direct,
+            validity=region.validity,
+        )
+    except ArgumentError as error:
+        raise GeometryError(f"RPC fit: the points determine no usable RPC ({error})") from None
     return RpcFit(
-        model=replace(rpc, fit_error_px=(float(rms[0]), float(rms[1]))),
+        model=model,
         region=region,
         points=ratios.residual.shape[1],
-        rms_px=(float(rms[0]), float(rms[1])),
+        rms_px=rms_px,
         covariance=read_only(inverse.covariance),
         effective=read_only(ratios.effective),
         strength=read_only(ratios.strength),

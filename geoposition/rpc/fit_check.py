@@ -11,8 +11,8 @@ import numpy as np
 from geoposition.arrays import FlagArray, FloatArray, read_only
 from geoposition.errors import GeometryError
 from geoposition.flags import has_result
-from geoposition.rpc.fit_grid import image_grid
 from geoposition.rpc.fit_basis import monomials
+from geoposition.rpc.fit_grid import image_grid
 from geoposition.rpc.model import RpcModel
 from geoposition.sensor_model import SensorModel
 

@@ -63,7 +63,7 @@ class Columns:
         return num, den
 
     def normal(self, sums: FloatArray, square: float, unit: float, degree: int) -> Normal:
-        """Normal equations from mean moments (5, n), in squares of `unit`."""
+        """Return normal equations from mean moments (5, n), in squares of `unit`."""
         top, low = count(degree + 1), count(degree)
         p, q = self.p, self.q
         across = p @ sums[1][products(top, low)] @ q.T

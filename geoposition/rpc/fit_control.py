@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geoposition.arrays import FloatArray, as_components, read_only
 from geoposition.errors import ArgumentError
-from geoposition.rpc.fit_build import RpcFit, build_model, describe_fit
+from geoposition.rpc.fit_build import RpcFit, build_fit
 from geoposition.rpc.fit_grid import Normalisation, Samples
 from geoposition.rpc.fit_ratio import fit_inverse
 from geoposition.rpc.fit_region import FittedRegion
@@ -71,7 +71,7 @@ def fit_control(
     if degree not in (1, 2, 3):
         raise ArgumentError(f"degree: 1, 2 or 3 expected, got {degree}")
     samples = Samples.of(image, ground)
-    count = len(samples.image_px)
+    count = samples.image_px.shape[1]
     if count < _LEAST_POINTS:
         raise ArgumentError(
             f"RPC fit: at least {_LEAST_POINTS} control points expected, got {count}"
@@ -87,17 +87,16 @@ def fit_control(
         degree=degree, denominators=denominators, damp_numerators=True, minimise_maximum=False
     )
     inverse = fit_inverse(
-        normal.ground(samples.geodetic),
-        normal.image(samples.image_px),
+        normal.ground(samples),
+        normal.image(samples),
         normal.image_scale_px,
         options,
         weight,
     )
-    region = FittedRegion.of(samples)
-    rpc = replace(build_model(normal, inverse, shape), validity=region.validity)
     residual = (inverse.ratios.residual * normal.image_scale_px[:, None]).T
     leverage = inverse.ratios.leverage
     assert leverage is not None  # asked for by `damp_numerators`
     alone = residual / np.maximum(1.0 - leverage.T, 1e-6)
-    fit = describe_fit(rpc, region, inverse, normal, ("fitted to control points: good near them",))
+    warnings = ("fitted to control points: good near them",)
+    fit = build_fit(normal, inverse, None, FittedRegion.of(samples), shape, warnings)
     return ControlFit(fit, read_only(residual), read_only(alone))

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from geoposition.arrays import FloatArray, read_only
+from geoposition.arrays import FloatArray
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import flag_labels, has_result
 from geoposition.sensor_model import SensorModel
@@ -23,33 +23,45 @@ _MOST_MISSED: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Image points `image_px` (n, 2) and their ground `geodetic` (n, 3), longitudes unbroken.
+    """Image points and their ground in columns: `image_px` (2, n), `geodetic` (3, n).
 
-    Longitudes follow each other without a jump at ±180°, so they may lie beyond.
+    Longitudes follow each other without a jump at ±180°, so they may lie beyond. `image_range`
+    (2, 2) and `ground_range` (3, 2) are lowest and highest of each.
     """
 
     image_px: FloatArray
     geodetic: FloatArray
+    image_range: FloatArray
+    ground_range: FloatArray
 
     @classmethod
     def of(cls, image_px: FloatArray, geodetic: FloatArray) -> Samples:
-        """Samples of (..., 2) and (..., 3); what is not finite is an `ArgumentError`."""
-        image, ground = image_px.reshape(-1, 2), geodetic.reshape(-1, 3).copy()
-        if len(image) != len(ground):
-            raise ArgumentError(f"samples: {len(image)} image points, {len(ground)} ground points")
-        if not (np.all(np.isfinite(image)) and np.all(np.isfinite(ground))):
-            raise ArgumentError("samples: finite image and ground points expected")
-        if np.any(np.abs(ground[:, 1]) > 0.5 * math.pi):
-            raise ArgumentError("samples: latitudes within ±90° expected")
-        ground[:, 0] = unbroken(ground[:, 0])
-        if np.ptp(ground[:, 0]) > _LONGITUDE_SPREAD_RAD:
-            latitude = math.degrees(float(np.abs(ground[:, 1]).max()))
-            raise GeometryError(
-                f"RPC fit: the ground spans {math.degrees(np.ptp(ground[:, 0])):.0f} degrees of "
-                f"longitude, up to latitude {latitude:.3f}: an RPC in longitude and latitude "
-                "cannot describe an image around a pole"
+        """Take points (..., 2) and (..., 3); what is not finite is an `ArgumentError`."""
+        image = np.array(image_px.reshape(-1, 2).T, order="C")
+        ground = np.array(geodetic.reshape(-1, 3).T, order="C")
+        if image.shape[1] != ground.shape[1] or not image.size:
+            raise ArgumentError(
+                f"samples: as many image as ground points expected, "
+                f"got {image.shape[1]} and {ground.shape[1]}"
             )
-        return cls(read_only(image), read_only(ground))
+        image_range = np.stack([image.min(axis=1), image.max(axis=1)], axis=1)
+        if not (np.all(np.isfinite(image_range)) and np.all(np.isfinite(ground.sum(axis=1)))):
+            raise ArgumentError("samples: finite image and ground points expected")
+        ground[0] = unbroken(ground[0])
+        ground_range = np.stack([ground.min(axis=1), ground.max(axis=1)], axis=1)
+        if np.abs(ground_range[1]).max() > 0.5 * math.pi:
+            raise ArgumentError("samples: latitudes within ±90° expected")
+        spread = ground_range[0, 1] - ground_range[0, 0]
+        if spread > _LONGITUDE_SPREAD_RAD:
+            latitude = math.degrees(float(np.abs(ground_range[1]).max()))
+            raise GeometryError(
+                f"RPC fit: the ground spans {math.degrees(spread):.0f} degrees of longitude, up "
+                f"to latitude {latitude:.3f}: an RPC in longitude and latitude cannot describe "
+                "an image around a pole"
+            )
+        for array in (image, ground, image_range, ground_range):
+            array.setflags(write=False)
+        return cls(image, ground, image_range, ground_range)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +80,12 @@ class Normalisation:
         Whole pixels and metres and 0.0001°, which the fixed-width fields of RPC00B hold.
         """
         if shape is None:
-            low, high = samples.image_px.min(axis=0), samples.image_px.max(axis=0)
+            low, high = samples.image_range.T
         else:
             low, high = np.zeros(2), np.array(shape, dtype=np.float64) - 1.0
         image_off = np.floor(0.5 * (low + high))
         image_scale = np.maximum(np.ceil(np.maximum(high - image_off, image_off - low)), 1.0)
-        ground = samples.geodetic * (math.degrees(1.0), math.degrees(1.0), 1.0)
-        low, high = ground.min(axis=0), ground.max(axis=0)
+        low, high = samples.ground_range.T * (math.degrees(1.0), math.degrees(1.0), 1.0)
         steps = np.array([1e4, 1e4, 1.0])
         off = np.round(0.5 * (low + high) * steps) / steps
         reach = np.maximum(high - off, off - low)
@@ -93,14 +104,20 @@ class Normalisation:
         east = per_deg * math.cos(math.radians(self.ground_off[1]))
         return self.ground_scale[:2] * (max(east, 1.0), per_deg)
 
-    def image(self, image_px: FloatArray) -> FloatArray:
-        """Normalised (line, sample) as (2, n)."""
-        return ((image_px - self.image_off_px) / self.image_scale_px).T
+    def image(self, samples: Samples) -> FloatArray:
+        """Normalised (line, sample) of samples, (2, n)."""
+        off, scale = self.image_off_px[:, None], self.image_scale_px[:, None]
+        result: FloatArray = (samples.image_px - off) / scale
+        return result
 
-    def ground(self, geodetic: FloatArray) -> FloatArray:
-        """Normalised (longitude, latitude, height) as (3, n)."""
-        units = (math.degrees(1.0), math.degrees(1.0), 1.0)
-        return ((geodetic * units - self.ground_off) / self.ground_scale).T
+    def ground(self, samples: Samples) -> FloatArray:
+        """Normalised (longitude, latitude, height) of samples, (3, n)."""
+        unit = (
+            np.array([[math.degrees(1.0)], [math.degrees(1.0)], [1.0]]) / self.ground_scale[:, None]
+        )
+        result: FloatArray = samples.geodetic * unit
+        result -= (self.ground_off / self.ground_scale)[:, None]
+        return result
 
 
 def virtual_grid(
@@ -141,7 +158,7 @@ def image_grid(
 def sample_model(
     model: SensorModel, line_px: FloatArray, sample_px: FloatArray, height_m: FloatArray
 ) -> Samples:
-    """Samples of `model` at the nodes of a grid."""
+    """Take samples of `model` at the nodes of a grid."""
     image, heights = image_grid(line_px, sample_px, height_m)
     ground = model.image_to_ground(image, heights)
     good = has_result(ground.flag)

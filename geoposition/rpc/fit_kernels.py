@@ -16,6 +16,7 @@ from geoposition.rpc.kernel_base import FAST, cubic
 
 _BLOCK = 128
 
+
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def moments(
     x: FloatArray,
@@ -78,9 +79,7 @@ def _load(
 
 
 @njit(fastmath=FAST, error_model="numpy")
-def _monomials(
-    points: FloatArray, parent: IntArray, variable: IntArray, mono: FloatArray
-) -> None:
+def _monomials(points: FloatArray, parent: IntArray, variable: IntArray, mono: FloatArray) -> None:
     mono[0] = 1.0
     for j in range(1, mono.shape[0]):
         factor, other = points[variable[j]], mono[parent[j]]

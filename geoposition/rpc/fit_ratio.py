@@ -44,31 +44,30 @@ def fit_inverse(
     flat = np.ones(ground.shape[1]) if weight is None else weight
     affine = affine_parts(ground, image, flat)
     matrix = np.array([affine[0, 1:], affine[1, 1:], [0.0, 0.0, 1.0]])
-    shift = np.array([affine[0, 0], affine[1, 0], 0.0])
-    return _fit(ground, image, matrix, shift, unit, options, weight)
+    return _fit(ground, image, matrix, unit, options, weight)
 
 
 def fit_direct(
     image: FloatArray, ground: FloatArray, unit: FloatArray, options: FitOptions
 ) -> Fitted:
     """Fit normalised (lon, lat) (2, n) to normalised (sample, line, height) (3, n)."""
-    return _fit(image, ground, np.eye(3), np.zeros(3), unit, options, None)
+    return _fit(image, ground, np.eye(3), unit, options, None)
 
 
 def _fit(
     variables: FloatArray,
     target: FloatArray,
     matrix: FloatArray,
-    shift: FloatArray,
     unit: FloatArray,
     options: FitOptions,
     weight: FloatArray | None,
 ) -> Fitted:
-    x = matrix @ variables + shift[:, None]
+    x = matrix @ variables
     low, high = x.min(axis=1), x.max(axis=1)
     half = np.maximum(0.5 * (high - low), 1e-9)
-    x = (x - (0.5 * (low + high))[:, None]) / half[:, None]
-    matrix, shift = matrix / half[:, None], (shift - 0.5 * (low + high)) / half
+    x -= (0.5 * (low + high))[:, None]
+    x /= half[:, None]
+    matrix, shift = matrix / half[:, None], -0.5 * (low + high) / half
     ratios = fit_ratios(x, np.ascontiguousarray(target), unit, options, weight)
     back = substitution(matrix, shift)
     num, den = ratios.num @ back.T, ratios.den @ back.T

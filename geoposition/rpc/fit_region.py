@@ -29,11 +29,8 @@ class FittedRegion:
     @classmethod
     def of(cls, samples: Samples) -> FittedRegion:
         """Region of `samples`."""
-        values = np.concatenate(
-            [samples.image_px, np.degrees(samples.geodetic[:, :2]), samples.geodetic[:, 2:]], axis=1
-        )
-        pairs = zip(values.min(axis=0).tolist(), values.max(axis=0).tolist(), strict=True)
-        return cls(*pairs)
+        ground = samples.ground_range * [[math.degrees(1.0)], [math.degrees(1.0)], [1.0]]
+        return cls(*((float(low), float(high)) for low, high in (*samples.image_range, *ground)))
 
     @property
     def validity(self) -> RpcValidity:

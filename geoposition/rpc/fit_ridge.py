@@ -78,7 +78,7 @@ class Damped:
 
     def strength(self, floor: float, least: float) -> float:
         """Damping chosen from the data; `floor` is a residual that does not matter."""
-        tried = _STRENGTHS[_STRENGTHS > least]
+        tried = _STRENGTHS[least < _STRENGTHS]
         if not tried.size:
             return float(_STRENGTHS[-1])
         kept = self.values / (self.values + tried[:, None])
@@ -87,9 +87,9 @@ class Damped:
         left = self.square - gain.sum() + ((1.0 - kept) ** 2 * gain).sum(axis=1)
         left = np.maximum(left, 1e-15 * self.square)
         freedom = self.rows - (self.free.sum() + kept.sum(axis=1))
-        score = np.where(
-            freedom > 0.0, np.sqrt(left) * self.rows / np.maximum(freedom, 1e-3), np.inf
-        )
+        # Few points: the score means nothing where the parameters nearly interpolate them.
+        sound = freedom >= min(0.5 * self.rows, freedom[-1])
+        score = np.where(sound, np.sqrt(left) * self.rows / np.maximum(freedom, 1e-3), np.inf)
         good = score <= _SLACK * score.min() + floor
         return float(tried[np.flatnonzero(good)[-1]])
 
@@ -109,7 +109,8 @@ class Damped:
         """Covariance of all parameters for a mean squared residual of one equation."""
         variance = mean_square / max(self.rows - self.used(strength), 1.0)
         inverse = self.damped_inverse(strength)
-        return variance * inverse @ self.gram @ inverse
+        result: FloatArray = variance * inverse @ self.gram @ inverse
+        return result
 
     def damped_inverse(self, strength: float) -> FloatArray:
         """Inverse of the whole damped matrix."""
@@ -128,6 +129,6 @@ def symmetric_inverse(matrix: FloatArray) -> FloatArray:
     scale = np.sqrt(np.maximum(np.diagonal(matrix), np.finfo(np.float64).tiny))
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
     good = values > _SINGULAR * values[-1]
-    half = vectors[:, good] / np.sqrt(values[good])
+    half = vectors[:, good] / np.sqrt(values[good]) / scale[:, None]
     result: FloatArray = half @ half.T
-    return result / np.outer(scale, scale)
+    return result

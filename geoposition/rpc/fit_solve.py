@@ -130,6 +130,7 @@ class _Fit:
         self.num, self.den = np.zeros((2, 20)), np.zeros((2, 20))
         self.den[:, 0] = 1.0
         self.started = False
+        self.settled: list[Damped] | None = None
 
     def damped(self, weights: FloatArray) -> list[Damped]:
         """Systems of equations around the present ratios."""
@@ -160,6 +161,7 @@ class _Fit:
                 self.strength[targets] = damped.strength(self.options.floor, least)
             self.step(systems)
             if self.started and np.abs(self.den - before).max() < _SETTLED:
+                self.settled = systems
                 return
             self.started = True
 
@@ -208,6 +210,7 @@ class _Fit:
             self.step(systems)
             residual = self.residual()
         self.num, self.den = best
+        self.settled = None
 
     def _score(self, residual: FloatArray, weight: FloatArray) -> FloatArray:
         score = np.abs(residual).max(axis=1) * np.sqrt((weight * residual**2).mean(axis=1))
@@ -218,7 +221,8 @@ class _Fit:
 
     def result(self, weights: FloatArray) -> Ratios:
         """Ratios as they are, with their uncertainty."""
-        systems = self.damped(weights)
+        # Where the steps have come to rest, the last equations are those of the result.
+        systems = self.damped(weights) if self.settled is None else self.settled
         residual = self.residual()
         square = (weights * residual**2).mean(axis=1) * self.unit**2
         effective, covariance = np.zeros(2), np.zeros((2, 40, 40))
@@ -249,9 +253,9 @@ class _Fit:
         delta = ratio - self.affine[i] @ terms[:4]
         columns = self.columns[i]
         low = terms[: columns.q.shape[1]]
-        return np.asarray((columns.p @ terms[: columns.p.shape[1]] + delta * (columns.q @ low)).T) / (
-            self.den[i] @ terms[:20]
-        )[:, None]
+        rows = columns.p @ terms[: columns.p.shape[1]] + delta * (columns.q @ low)
+        result: FloatArray = (rows / (self.den[i] @ terms[:20])).T
+        return result
 
 
 def _systems(numerators: int, size: int, equal: bool) -> list[dict[int, IntArray]]:

@@ -277,6 +277,7 @@ class RpcModel:
             (height - self.height_off_m) / self.height_scale_m,
         )
         lon_deg = self.lon_off_deg + self.lon_scale_deg * ground[..., 0]
+        lon_deg = lon_deg - 360.0 * np.rint(lon_deg / 360.0)
         lat_deg = self.lat_off_deg + self.lat_scale_deg * ground[..., 1]
         return np.stack([np.radians(lon_deg), np.radians(lat_deg), height], axis=-1)
 

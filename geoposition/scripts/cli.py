@@ -24,7 +24,7 @@ app = typer.Typer(
 )
 
 rpc_app = typer.Typer(
-    help="Rational polynomial coefficients: compare, convert.", no_args_is_help=True
+    help="Rational polynomial coefficients: fit, compare, convert.", no_args_is_help=True
 )
 app.add_typer(rpc_app, name="rpc")
 
@@ -35,6 +35,7 @@ _COMMANDS = (
     "project",
     "intersect",
     "export",
+    "rpc_fit",
     "rpc_compare",
     "rpc_convert",
 )

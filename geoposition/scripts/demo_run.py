@@ -23,7 +23,6 @@ from geoposition.calib_fields.synthetic import SyntheticTerrain, synthetic_terra
 from geoposition.flags import Flag, has_result
 from geoposition.locate import locate
 from geoposition.pushbroom import PushbroomModel
-from geoposition.raster_terrain import RasterTerrain
 from geoposition.scripts.demo_data import (
     DemoOptions,
     DemoResult,
@@ -38,6 +37,7 @@ from geoposition.sensors.simulate import (
     simulate_measurements,
     simulate_scene,
 )
+from geoposition.terrain.raster import RasterTerrain
 from geoposition.triangulate import IntersectedPoints, triangulate
 
 _TERRAIN_MARGIN_M: Final = 4000.0

@@ -13,9 +13,9 @@ from geoposition.datum import Geoid, from_crs
 from geoposition.ellipsoid import enu_axes, geodetic_to_ecef
 from geoposition.flags import Flag, has_result
 from geoposition.locate import locate
-from geoposition.raster_terrain import RasterTerrain
 from geoposition.rays import Rays
 from geoposition.rpc.formats import read_rpc
+from geoposition.terrain.raster import RasterTerrain
 
 UTM31 = "EPSG:32631"
 

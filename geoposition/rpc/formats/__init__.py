@@ -93,6 +93,16 @@ def sniff(path: Path) -> str:
     raise ProductError(path, "", "an RPC expected, the content is of no known dialect")
 
 
+def dialect_for(path: Path) -> str:
+    """Name of the dialect in which `path` is written, by its ending."""
+    dialect = _SUFFIXES.get(path.suffix.lower())
+    if dialect is None:
+        raise UnsupportedError(
+            path, "name", ".RPB, _RPC.TXT, .XML, .geom, .json or .tif expected at its end"
+        )
+    return dialect
+
+
 def write_rpc(model: RpcModel, path: str | PathLike[str], dialect: str | None = None) -> None:
     """Write `model` to `path`, whole or not at all, at full precision.
 
@@ -101,11 +111,7 @@ def write_rpc(model: RpcModel, path: str | PathLike[str], dialect: str | None = 
     """
     path = Path(path)
     if dialect is None:
-        dialect = _SUFFIXES.get(path.suffix.lower())
-        if dialect is None:
-            raise UnsupportedError(
-                path, "name", ".RPB, _RPC.TXT, .XML, .geom, .json or .tif expected at its end"
-            )
+        dialect = dialect_for(path)
     if dialect not in DIALECTS:
         raise ArgumentError(f"dialect: one of {', '.join(DIALECTS)} expected, got {dialect!r}")
     if path.is_dir():

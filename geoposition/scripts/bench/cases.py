@@ -13,7 +13,6 @@ from geoposition.arrays import FloatArray
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.intersect import intersect_pairs
 from geoposition.locate import locate
-from geoposition.raster_terrain import RasterTerrain
 from geoposition.rays import Rays
 from geoposition.scripts.bench import (
     peer_asgard,
@@ -33,6 +32,7 @@ from geoposition.scripts.bench.scenes import (
 from geoposition.scripts.bench.work import RigorousWork, RpcWork, smooth_heights
 from geoposition.sensor_model import GroundPoints, ImagePoints, SensorModel
 from geoposition.terrain import Terrain
+from geoposition.terrain.raster import RasterTerrain
 
 OURS = "geoposition"
 _EVERY = slice(None)

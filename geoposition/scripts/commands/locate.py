@@ -50,7 +50,7 @@ def command(
     image = np.stack([table["row"], table["col"]], axis=1).astype(np.float64)
     terrain: Terrain | None = None
     if dem is not None:
-        from geoposition.raster_terrain import RasterTerrain
+        from geoposition.terrain.raster import RasterTerrain
 
         terrain = RasterTerrain(dem, geoid)
     elif height is not None:

@@ -32,6 +32,7 @@ def command(
 
     from geoposition.errors import ProductError
     from geoposition.rpc.compare import compare
+    from geoposition.rpc.model import RpcModel
     from geoposition.scripts.results import print_facts, print_json
     from geoposition.sensors.readers import open_product
 
@@ -45,8 +46,16 @@ def command(
     else:
         model = reference.vendor_rpc
     levels = None if heights is None else np.linspace(*heights, grid[2])
+    fitted = model.height_range_m if isinstance(model, RpcModel) else (-np.inf, np.inf)
+    beyond = [h for h in heights or () if not fitted[0] - 1.0 <= h <= fitted[1] + 1.0]
     found = compare(reference.model, model, heights_m=levels, grid=grid)
-    result = found.as_dict() | {"product": str(product), "other": str(other or "vendor RPC")}
+    result: dict[str, object] = found.as_dict() | {
+        "product": str(product),
+        "other": str(other or "vendor RPC"),
+    }
+    if beyond:
+        low, high = fitted
+        result["warning"] = f"heights outside {low:g} .. {high:g} m, which the RPC was fitted to"
     if json:
         print_json(result)
     else:

@@ -1,4 +1,4 @@
-"""`geoposition rpc convert`: one dialect of RPC file to another."""
+"""`geoposition rpc convert`: one dialect of RPC file to another, moved with its image."""
 
 from __future__ import annotations
 
@@ -14,20 +14,73 @@ def command(
         Path,
         typer.Option("-o", "--output", help=".RPB, _RPC.TXT, .XML (DIMAP), .geom, .json or .tif."),
     ],
+    bias: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Add a bias (row, col), observed − RPC, pixels."),
+    ] = None,
+    crop: Annotated[
+        tuple[int, int, int, int] | None,
+        typer.Option(help="To a window: first row, first col, rows, cols. Negative: a mosaic."),
+    ] = None,
+    overview: Annotated[
+        float | None, typer.Option(help="To an image with pixels so many times as large.")
+    ] = None,
+    turn: Annotated[
+        int | None, typer.Option(help="To an image turned by quarters, counter-clockwise.")
+    ] = None,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Read the file again with GDAL and compare.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Rewrite an RPC in the dialect that the output's name asks for.
 
+    Moves, in this order: bias, crop, overview, turn; all are exact.
+
     Example: geoposition rpc convert RPC_PHR1A.XML -o image_RPC.TXT
     """
+    from geoposition.errors import ArgumentError, ProductError
     from geoposition.rpc.formats import read_rpc, sniff, write_rpc
+    from geoposition.rpc.formats.verify import TOLERANCE_PX, verify_rpc
+    from geoposition.rpc.transform import ImageAffine, bias_compensated, transformed
     from geoposition.scripts.results import print_facts, print_json
     from geoposition.scripts.tables import check_output
 
     check_output(output)
     dialect = sniff(rpc)
-    write_rpc(read_rpc(rpc), output)
-    result = {"input": str(rpc), "from": dialect, "to": sniff(output), "output": str(output)}
+    model = read_rpc(rpc)
+    if bias is not None:
+        model = bias_compensated(model, bias).model
+    if crop is not None:
+        if min(crop[2:]) < 1:
+            raise ArgumentError("--crop: positive numbers of rows and cols expected")
+        model = model.cropped(crop[0], crop[1], (crop[2], crop[3]))
+    if overview is not None:
+        smaller = ImageAffine.overview(overview)
+        # As GDAL sizes overviews: the last pixel may hang over the edge.
+        lines, samples = (max(1, -int(-n // overview)) for n in model.shape)
+        shape = (lines, samples) if model.shape_known else None
+        model = transformed(model, smaller, shape).model
+    if turn is not None:
+        shape = model.shape[::-1] if turn % 2 else model.shape
+        quarter = ImageAffine.quarter_turns(turn, model.shape)
+        model = transformed(model, quarter, (shape[0], shape[1])).model
+    write_rpc(model, output)
+    result: dict[str, object] = {
+        "input": str(rpc),
+        "from": dialect,
+        "to": sniff(output),
+        "output": str(output),
+    }
+    if verify:
+        verified = verify_rpc(model, output)
+        result["verified"] = verified.as_dict()
+        if not verified.passed:
+            raise ProductError(
+                output, "",
+                f"written, but read again by {verified.reader} it differs by "
+                f"{verified.max_px:.3g} px, {TOLERANCE_PX:g} px expected",
+            )  # fmt: skip
     if json:
         print_json(result)
     else:

@@ -12,10 +12,10 @@ import numpy as np
 from geoposition.arrays import FloatArray
 from geoposition.datum import Geoid
 from geoposition.errors import ProductError, UnsupportedError
-from geoposition.terrain_grid import Grid
-from geoposition.terrain_patch import lon_lat_grid, normals, table_grid
-from geoposition.terrain_source import Lattice
-from geoposition.terrain_window import Span, box_around, is_wgs84_degrees, places, positions
+from geoposition.terrain.grid import Grid
+from geoposition.terrain.patch import lon_lat_grid, normals, table_grid
+from geoposition.terrain.source import Lattice
+from geoposition.terrain.window import Span, box_around, is_wgs84_degrees, places, positions
 
 logger = logging.getLogger(__name__)
 

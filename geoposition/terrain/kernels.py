@@ -17,7 +17,7 @@ from numba import njit, prange
 
 from geoposition.arrays import FlagArray, FloatArray
 from geoposition.constants import WGS84_A_M, WGS84_E2
-from geoposition.terrain_grid import (
+from geoposition.terrain.grid import (
     FAST,
     LON_LAT,
     LONG,
@@ -26,7 +26,7 @@ from geoposition.terrain_grid import (
     grid_position,
     normal_position,
 )
-from geoposition.terrain_series import (
+from geoposition.terrain.series import (
     GROUP,
     TERMS,
     Bend,
@@ -36,7 +36,7 @@ from geoposition.terrain_series import (
     series,
     shell_ranges,
 )
-from geoposition.terrain_walk import (
+from geoposition.terrain.walk import (
     ABOVE,
     AT_START,
     CROSSED,

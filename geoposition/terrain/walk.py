@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit, prange
 
 from geoposition.arrays import FloatArray, IntArray
-from geoposition.terrain_grid import LONG, SCALAR
+from geoposition.terrain.grid import LONG, SCALAR
 
 CROSSED: Final = 0
 PASSED: Final = 1

@@ -10,7 +10,7 @@ from numba import njit
 
 from geoposition.arrays import FloatArray
 from geoposition.constants import WGS84_A_M, WGS84_B_M, WGS84_E2
-from geoposition.terrain_grid import (
+from geoposition.terrain.grid import (
     LON_LAT,
     SCALAR,
     Grid,

@@ -11,8 +11,8 @@ from geoposition.arrays import FloatArray
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.rays import Rays
 from geoposition.sensor_model import SensorModel
-from geoposition.terrain import level_crossings
-from geoposition.terrain_series import Bend
+from geoposition.terrain.series import Bend
+from geoposition.terrain.surfaces import level_crossings
 
 _GRID: Final = 7
 _HEIGHTS: Final = 4

@@ -10,8 +10,8 @@ import numpy as np
 from geoposition.arrays import FloatArray
 from geoposition.constants import WGS84_A_M
 from geoposition.datum import from_crs, to_crs
-from geoposition.terrain_patch import from_plane, plane_axes, to_plane
-from geoposition.terrain_source import Lattice
+from geoposition.terrain.patch import from_plane, plane_axes, to_plane
+from geoposition.terrain.source import Lattice
 
 _SAMPLES: Final = 17
 _MARGIN_RAD: Final = 100.0 / WGS84_A_M

@@ -16,8 +16,8 @@ from geoposition.ellipsoid import ecef_to_geodetic
 from geoposition.errors import ArgumentError
 from geoposition.flags import Flag
 from geoposition.rays import Rays
-from geoposition.terrain_grid import FAST, foot_point
-from geoposition.terrain_series import shell_ranges
+from geoposition.terrain.grid import FAST, foot_point
+from geoposition.terrain.series import shell_ranges
 
 
 @dataclass(frozen=True, slots=True)

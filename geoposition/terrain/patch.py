@@ -16,8 +16,8 @@ from geoposition.arrays import FloatArray
 from geoposition.constants import WGS84_A_M
 from geoposition.ellipsoid import enu_axes
 from geoposition.errors import GeometryError
-from geoposition.terrain_grid import LON_LAT, TABLE, Grid
-from geoposition.terrain_walk import pyramid
+from geoposition.terrain.grid import LON_LAT, TABLE, Grid
+from geoposition.terrain.walk import pyramid
 
 TABLE_TOLERANCE_PX: Final = 1e-4
 _MAX_TABLE_NODES: Final = 3_000_000

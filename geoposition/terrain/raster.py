@@ -14,15 +14,15 @@ from geoposition.datum import Geoid
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import Flag
 from geoposition.rays import Rays
-from geoposition.terrain import Crossings, TerrainHeights, bad_lon_lat, keep_flags, lon_lat
-from geoposition.terrain_grid import Grid
-from geoposition.terrain_kernels import BAD, UNSETTLED, bracket_directions, crossings, heights
-from geoposition.terrain_patch import normals
-from geoposition.terrain_series import STRAIGHT, Bend
-from geoposition.terrain_source import PLAUSIBLE_M, open_lattice
-from geoposition.terrain_store import BLOCK, WIDEST_RAD, HeightStore, blocks, vertical_facts
-from geoposition.terrain_walk import CROSSED, HOLE, MISSED, OUTSIDE, PASSED
-from geoposition.terrain_window import Box, box_around, span_of_box
+from geoposition.terrain.grid import Grid
+from geoposition.terrain.kernels import BAD, UNSETTLED, bracket_directions, crossings, heights
+from geoposition.terrain.patch import normals
+from geoposition.terrain.series import STRAIGHT, Bend
+from geoposition.terrain.source import PLAUSIBLE_M, open_lattice
+from geoposition.terrain.store import BLOCK, WIDEST_RAD, HeightStore, blocks, vertical_facts
+from geoposition.terrain.surfaces import Crossings, TerrainHeights, bad_lon_lat, keep_flags, lon_lat
+from geoposition.terrain.walk import CROSSED, HOLE, MISSED, OUTSIDE, PASSED
+from geoposition.terrain.window import Box, box_around, span_of_box
 
 EARTH_M: Final = (-600.0, 9000.0)
 """All dry land; where the raster goes lower, the search is repeated down to that."""
