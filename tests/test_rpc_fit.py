@@ -346,7 +346,7 @@ def test_control_points_give_a_tame_rpc_that_knows_its_error(n: int, denominator
     missed = found.fit.model.ground_to_image(check_ground).image_px - check_image
     true = np.sqrt(np.mean(missed**2))
     said = np.sqrt(np.mean(found.leave_one_out_px**2))
-    assert true < 1.0
+    assert true < {12: 1.5, 30: 0.6, 100: 0.25}[n]
     # What is said includes the points' own errors of 0.3 px.
     assert 0.4 < said / np.hypot(true, 0.3) < 2.0
     assert np.sqrt(np.mean(found.residual_px**2)) < said
