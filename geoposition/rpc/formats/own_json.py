@@ -22,6 +22,12 @@ from geoposition.rpc.model import RpcModel, RpcValidity
 FORMAT = "geoposition-rpc"
 VERSION = 1
 
+_STATEMENTS = {
+    "pixel_origin": "0-based rows and columns, the centre of the first pixel is (0, 0)",
+    "height_datum": "metres above the WGS 84 ellipsoid",
+}
+"""Said in the file for whoever opens it; nothing else is written or read."""
+
 _FIELDS = [field.name for field in fields(RpcModel) if field.init]
 _TEXTS = {"satellite", "band"}
 _LISTS = {"line_num": 20, "line_den": 20, "samp_num": 20, "samp_den": 20}
@@ -121,7 +127,7 @@ def _numbers(path: Path, place: str, value: object, size: int) -> list[float]:
 
 def write(model: RpcModel, path: Path) -> None:
     """Write `model`, with all it carries, at full precision."""
-    document: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    document: dict[str, Any] = {"format": FORMAT, "version": VERSION, **_STATEMENTS}
     for name in _FIELDS:
         value = getattr(model, name)
         if name in ("direct", "validity") and value is not None:
