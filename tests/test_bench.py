@@ -18,7 +18,7 @@ from geoposition.scripts.bench.measure import Case, CaseResult, Contender, Missi
 
 KEYS = {
     "direct", "direct-peers", "inverse", "inverse-peers", "dem", "dem-peers",
-    "rpc-project", "rpc-locate", "rpc-dem", "pair-rays", "pair",
+    "rpc-project", "rpc-locate", "rpc-dem", "rpc-fit", "pair-rays", "pair",
 }  # fmt: skip
 TARGETS = {
     "direct": 12.0,
@@ -27,6 +27,7 @@ TARGETS = {
     "rpc-project": 150.0,
     "rpc-locate": 20.0,
     "rpc-dem": 5.0,
+    "rpc-fit": 0.032 / 0.06,
     "pair-rays": 5.0,
     "pair": 5.0,
 }

@@ -19,7 +19,7 @@ import typer
 from rich.console import Console
 
 from geoposition.errors import ArgumentError, GeopositionError
-from geoposition.scripts.bench import cases, report, scenes
+from geoposition.scripts.bench import cases, report, rpc_fit, scenes
 from geoposition.scripts.bench.machine import copy_gb_s, cores, environment, threading_layer
 from geoposition.scripts.bench.measure import CaseResult, Spread, best_rate, measure
 from geoposition.scripts.tables import check_output, whole_file
@@ -89,8 +89,12 @@ def _run(
             for case in cases.rigorous_cases(rigorous[0], folder, sizes):
                 results.append(measure(case, repeats))
         if "rpc" in groups:
-            for case in cases.rpc_cases(scenes.rpc_scene(data, folder), sizes):
+            rpc_scene = scenes.rpc_scene(data, folder)
+            for case in cases.rpc_cases(rpc_scene, sizes):
                 results.append(measure(case, repeats))
+            nodes = rpc_fit.QUICK_NODES if quick else rpc_fit.NODES
+            fit_case = rpc_fit.rpc_fit_case(rpc_scene.left, rpc_scene.name, nodes)
+            results.append(measure(fit_case, repeats))
     if "growth" in groups:
         found["growth"] = _growth(rigorous, quick)
     if "times" in groups:
