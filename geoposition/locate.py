@@ -25,6 +25,7 @@ from geoposition.rays import Rays
 from geoposition.sensor_model import GroundPoints, SensorModel
 from geoposition.terrain import ConstantTerrain, Terrain
 from geoposition.terrain.bending import fit_bend
+from geoposition.terrain.extremes import finite_extremes
 from geoposition.terrain.raster import RasterTerrain
 from geoposition.terrain.series import Bend
 
@@ -67,7 +68,7 @@ def locate(
         return model.image_to_ground(points, terrain.height_m)
     shape = points.shape[:-1]
     flat = points.reshape(-1, 2)
-    geodetic = np.full((len(flat), 3), np.nan)
+    geodetic = np.empty((len(flat), 3))
     flag: FlagArray = np.empty(len(flat), dtype=np.uint8)
     guess_m = 0.5 * (model.height_range_m[0] + model.height_range_m[1])
     bend = None
@@ -127,15 +128,14 @@ def _locate_bent(
 
 def _witnesses(height_m: FloatArray) -> IntArray:
     """Pick some of the found points: spread over all, and the lowest and highest."""
-    low, high = int(np.argmin(height_m)), int(np.argmax(height_m))
-    if np.isnan(height_m[low]):  # not all were found
+    low, high, known = finite_extremes(height_m)
+    if known == len(height_m):
+        spread = np.linspace(0, known - 1, _SAMPLE).astype(np.int64)
+    elif known:
         found = np.flatnonzero(np.isfinite(height_m))
-        if not found.size:
-            return found
-        low, high = found[np.argmin(height_m[found])], found[np.argmax(height_m[found])]
-        spread = found[np.linspace(0, len(found) - 1, _SAMPLE).astype(np.int64)]
+        spread = found[np.linspace(0, known - 1, _SAMPLE).astype(np.int64)]
     else:
-        spread = np.linspace(0, len(height_m) - 1, _SAMPLE).astype(np.int64)
+        return np.zeros(0, dtype=np.int64)
     return np.concatenate([[low, high], spread])
 
 

@@ -30,7 +30,6 @@ PARALLEL: dict[str, Any] = {
 
 BLOCK = 128
 """Points worked on together, in columns that fit the first-level cache."""
-HALF_BLOCK = BLOCK // 2
 TASK = BLOCK * 64
 """Points given to a thread at a time."""
 

@@ -1,7 +1,7 @@
 """Compiled loop from ground to image.
 
-Points are taken in blocks that fit the first-level cache: copied into separate columns, worked
-on by vector instructions, copied out.
+One plain loop: the compiler takes the interleaved columns apart by itself, and what the memory
+does hides behind the arithmetic.
 """
 
 from __future__ import annotations
@@ -14,8 +14,6 @@ from numba import njit, prange, uint64
 from geoposition.arrays import FlagArray, FloatArray
 from geoposition.rpc.kernel_base import (
     BAD_INPUT,
-    BLOCK,
-    HALF_BLOCK,
     HAS_NUMBERS,
     INLINE,
     LINE_DEN,
@@ -73,27 +71,14 @@ def project_points(
     """Project flattened `geodetic` (3n) into flattened `image_px` (2n) and `flags` (n)."""
     n = flags.size
     for task in prange((n + TASK - 1) // TASK):
-        a = np.zeros(BLOCK)
-        b = np.zeros(BLOCK)
-        h = np.zeros(BLOCK)
-        for begin in range(task * TASK, min(n, (task + 1) * TASK), BLOCK):
-            m = min(BLOCK, n - begin)
-            source = geodetic[3 * begin : 3 * (begin + m)]
-            target = image_px[2 * begin : 2 * (begin + m)]
-            target_flags = flags[begin : begin + m]
-            for i in range(uint64(m)):
-                a[i] = source[U3 * i]
-                b[i] = source[U3 * i + U1]
-                h[i] = source[U3 * i + U2]
-            # Two points per turn share each load of a coefficient.
-            for i in range(HALF_BLOCK):
-                j = i + HALF_BLOCK
-                line, samp, flag = _project(c, p, a[i], b[i], h[i])
-                line_2, samp_2, flag_2 = _project(c, p, a[j], b[j], h[j])
-                a[i], b[i], h[i] = line, samp, flag
-                a[j], b[j], h[j] = line_2, samp_2, flag_2
-            for i in range(uint64(m)):
-                target[U2 * i] = a[i]
-                target[U2 * i + U1] = b[i]
-            for i in range(uint64(m)):
-                target_flags[i] = np.uint8(h[i])
+        begin, end = task * TASK, min(n, (task + 1) * TASK)
+        source = geodetic[3 * begin : 3 * end]
+        target = image_px[2 * begin : 2 * end]
+        target_flags = flags[begin:end]
+        for i in range(uint64(end - begin)):
+            line, samp, flag = _project(
+                c, p, source[U3 * i], source[U3 * i + U1], source[U3 * i + U2]
+            )
+            target[U2 * i] = line
+            target[U2 * i + U1] = samp
+            target_flags[i] = np.uint8(flag)

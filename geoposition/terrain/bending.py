@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -11,6 +10,7 @@ from geoposition.arrays import FloatArray
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.rays import Rays
 from geoposition.sensor_model import SensorModel
+from geoposition.terrain.extremes import finite_extremes
 from geoposition.terrain.series import Bend
 from geoposition.terrain.surfaces import level_crossings
 
@@ -31,10 +31,12 @@ def fit_bend(
     # points that the model does not answer for must not stretch the box
     margin = 0.05 * np.array(model.shape) + 1.0
     limit = np.array(model.shape) + margin
-    # by columns: numpy takes ten times as long along the first axis
-    columns = (image_px[:, 0], image_px[:, 1])
-    low = np.clip([_but_nan(np.min, column) for column in columns], -margin, limit)
-    high = np.clip([_but_nan(np.max, column) for column in columns], -margin, limit)
+    corners = np.zeros((2, 2))
+    for axis in range(2):
+        lowest, highest, known = finite_extremes(image_px[:, axis])
+        if known:
+            corners[:, axis] = image_px[[lowest, highest], axis]
+    low, high = np.clip(corners, -margin, limit)
     centre, scale = 0.5 * (low + high), 1.0 / np.maximum(0.5 * (high - low), 1.0)
     unit = np.linspace(-1.0, 1.0, _GRID)
     levels = np.linspace(low_m, high_m, _HEIGHTS)
@@ -55,11 +57,3 @@ def fit_bend(
     solution[0] /= extent
     solution[1] /= extent**2
     return Bend(np.zeros((0, 2)), np.ascontiguousarray(solution), centre, scale, height_m)
-
-
-def _but_nan(extreme: Callable[[FloatArray], np.float64], values: FloatArray) -> float:
-    found = float(extreme(values))
-    if np.isfinite(found):
-        return found
-    finite = values[np.isfinite(values)]
-    return float(extreme(finite)) if finite.size else 0.0

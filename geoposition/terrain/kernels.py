@@ -31,10 +31,19 @@ from geoposition.terrain.series import (
     TERMS,
     Bend,
     Triple,
-    bend_terms,
+    bend_group,
     grid_terms,
     series,
     shell_ranges,
+)
+from geoposition.terrain.straight_down import (
+    FOUND,
+    NORMAL,
+    PLACE,
+    ROWS,
+    START,
+    cross_group,
+    place_group,
 )
 from geoposition.terrain.walk import (
     ABOVE,
@@ -60,6 +69,8 @@ _WALK_M3: Final = 1e-3
 """(expansion length)³ / (distance from the axis)² below which the walk is right to about 1 mm."""
 _EXACT_M3: Final = 1e-6
 """The same for a result right to about 1 µm."""
+_TABLE_EXACT_M: Final = 100.0
+"""Farther off, the place in a table is not a parabola of the range to `_finish` from."""
 _BACK_M: Final = 2.0
 _MAX_SEGMENTS: Final = 20000
 _SHELL_SLACK_M: Final = 1.0
@@ -101,6 +112,19 @@ def _finish(
     return s, math.atan2(y, x), math.atan2(z, math.sqrt(x * x + y * y)), h
 
 
+@njit(**SCALAR)
+def _lon_lat(grid: Grid, row: float, col: float) -> tuple[float, float]:
+    """Longitude within half a turn, and latitude, of a place in a `LON_LAT` grid."""
+    g = grid.from_grid
+    lon = g[0, 0] + g[0, 1] * row + g[0, 2] * col + grid.middle[4]
+    lat = g[1, 0] + g[1, 1] * row + g[1, 2] * col + grid.middle[5]
+    if lon > math.pi:
+        lon -= 2.0 * math.pi
+    elif lon <= -math.pi:
+        lon += 2.0 * math.pi
+    return lon, min(max(lat, -0.5 * math.pi), 0.5 * math.pi)
+
+
 @njit(**LONG)
 def _expand(
     rays: FloatArray, terms: FloatArray, bend_height_m: float, top_m: float, bottom_m: float
@@ -138,6 +162,31 @@ def _expand(
         slack = 0.01 / falls
         terms[TERMS * GROUP + m] = 2.0 * (h0 - top_m) / (top_root - falls) + slack
         terms[(TERMS + 1) * GROUP + m] = 2.0 * (h0 - bottom_m) / (bottom_root - falls) - slack
+
+
+@njit(**SCALAR)
+def _at(grid: Grid, terms: FloatArray, m: int, s: float) -> tuple[float, float, float, float]:
+    """(s, lon, lat, height) of a crossing of ray `m` found at `s`."""
+    height = _triple(terms, 4, m)
+    row, col = _triple(terms, PLACE, m), _triple(terms, PLACE + 3, m)
+    if grid.kind != LON_LAT:
+        nx, ny, nz = (
+            _triple(terms, NORMAL, m),
+            _triple(terms, NORMAL + 3, m),
+            _triple(terms, NORMAL + 6, m),
+        )
+        rate_row, rate_col = row[1] + 2.0 * s * row[2], col[1] + 2.0 * s * col[2]
+        s, lon, lat, h = _finish(grid, height, nx, ny, nz, s, rate_row, rate_col)
+        return s, lon, lat, h
+    lon, lat = _lon_lat(
+        grid, row[0] + s * (row[1] + s * row[2]), col[0] + s * (col[1] + s * col[2])
+    )
+    return s, lon, lat, height[0] + s * (height[1] + s * height[2])
+
+
+@njit(**SCALAR)
+def _triple(terms: FloatArray, first: int, m: int) -> Triple:
+    return terms[first * GROUP + m], terms[(first + 1) * GROUP + m], terms[(first + 2) * GROUP + m]
 
 
 @njit(**SCALAR)
@@ -203,9 +252,12 @@ def _cross(
             start - centre,
             reach,
             over,
+            -1,
         )
         if status == CROSSED:
-            if abs(s) * s * s > _EXACT_M3 * scale2 or (grid.kind != LON_LAT and abs(s) > 100.0):
+            if abs(s) * s * s > _EXACT_M3 * scale2 or (
+                grid.kind != LON_LAT and abs(s) > _TABLE_EXACT_M
+            ):
                 centre += s
                 start = max(centre - _BACK_M, start)
                 over = ABOVE
@@ -225,16 +277,11 @@ def _cross(
                     col[1] + 2.0 * s * col[2],
                 )
                 return CROSSED, centre + s, lon, lat, h
-            at_row = row[0] + s * (row[1] + s * row[2])
-            at_col = col[0] + s * (col[1] + s * col[2])
-            g = grid.from_grid
-            lon = g[0, 0] + g[0, 1] * at_row + g[0, 2] * at_col + grid.middle[4]
-            lat = g[1, 0] + g[1, 1] * at_row + g[1, 2] * at_col + grid.middle[5]
-            if lon > math.pi:
-                lon -= 2.0 * math.pi
-            elif lon <= -math.pi:
-                lon += 2.0 * math.pi
-            lat = min(max(lat, -0.5 * math.pi), 0.5 * math.pi)
+            lon, lat = _lon_lat(
+                grid,
+                row[0] + s * (row[1] + s * row[2]),
+                col[0] + s * (col[1] + s * col[2]),
+            )
             return CROSSED, t, lon, lat, h0 + s * (h1 + s * h2)
         if status != PASSED:
             return status, nan, nan, nan, nan
@@ -258,6 +305,7 @@ def _cross_group(
     rays: FloatArray,
     terms: FloatArray,
     hint_m: float,
+    exact_m: float,
     status: FlagArray,
     range_m: FloatArray,
     geodetic: FloatArray,
@@ -270,9 +318,33 @@ def _cross_group(
         sums *= rays[3 * GROUP + m] + rays[4 * GROUP + m] + rays[5 * GROUP + m]
         if not abs(sums) < math.inf:
             continue
-        status[m], range_m[m], geodetic[m, 0], geodetic[m, 1], geodetic[m, 2] = _cross(
-            grid, bend_height_m, top_m, bottom_m, rays, terms, m
-        )
+        s = terms[FOUND * GROUP + m]
+        start, end = terms[START * GROUP + m], terms[(TERMS + 1) * GROUP + m]
+        scale2 = terms[7 * GROUP + m]
+        if math.isnan(s) and end * end * end < _WALK_M3 * scale2 and start < end:
+            # from the block's maximum on, cell by cell
+            met, s, _ = walk(
+                grid.height_m,
+                grid.maxima_m,
+                grid.levels,
+                _triple(terms, PLACE, m),
+                _triple(terms, PLACE + 3, m),
+                _triple(terms, 4, m),
+                start,
+                end,
+                ABOVE,
+                0,
+            )
+            if met != CROSSED or not (abs(s) <= exact_m and abs(s) * s * s <= _EXACT_M3 * scale2):
+                s = math.nan
+        if rays[13 * GROUP + m] + s >= 0.0:
+            status[m] = CROSSED
+            s, geodetic[m, 0], geodetic[m, 1], geodetic[m, 2] = _at(grid, terms, m, s)
+            range_m[m] = rays[13 * GROUP + m] + s
+        else:
+            status[m], range_m[m], geodetic[m, 0], geodetic[m, 1], geodetic[m, 2] = _cross(
+                grid, bend_height_m, top_m, bottom_m, rays, terms, m
+            )
         if status[m] == CROSSED:
             hint_m = geodetic[m, 2]
     return hint_m
@@ -300,10 +372,11 @@ def crossings(
     n = origin_ecef_m.shape[0]
     bent = bend.image_px.shape[0] > 0
     hinted = hint_m.shape[0] > 0
+    exact_m = math.inf if grid.kind == LON_LAT else _TABLE_EXACT_M
     for batch in prange(-(-n // _BATCH)):
         hint = 0.5 * (top_m + bottom_m)
-        terms = np.empty((TERMS + 2) * GROUP)
-        rays = np.zeros(14 * GROUP)
+        terms = np.empty(ROWS * GROUP)
+        rays = np.zeros(16 * GROUP)
         end = min((batch + 1) * _BATCH, n)
         for first in range(batch * _BATCH, end, GROUP):
             count = min(GROUP, end - first)
@@ -313,12 +386,11 @@ def crossings(
                     rays[axis * GROUP + m] = origin_ecef_m[k, axis]
                     rays[(3 + axis) * GROUP + m] = direction_ecef[k, axis]
                 rays[12 * GROUP + m] = hint_m[k] if hinted else hint
-                if bent:
-                    for axis in range(3):
-                        rays[(6 + axis) * GROUP + m], rays[(9 + axis) * GROUP + m] = bend_terms(
-                            bend, k, axis
-                        )
+            if bent:
+                bend_group(bend, first, count, rays)
             _expand(rays, terms, bend.height_m, top_m, bottom_m)
+            place_group(grid, terms)
+            cross_group(grid, terms, _WALK_M3, _EXACT_M3, exact_m)
             hint = _cross_group(
                 grid,
                 bend.height_m,
@@ -327,6 +399,7 @@ def crossings(
                 rays,
                 terms,
                 hint,
+                exact_m,
                 status[first : first + count],
                 range_m[first : first + count],
                 geodetic[first : first + count],

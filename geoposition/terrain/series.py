@@ -12,6 +12,7 @@ from geoposition.arrays import FloatArray
 from geoposition.constants import WGS84_A_M, WGS84_B_M, WGS84_E2
 from geoposition.terrain.grid import (
     LON_LAT,
+    LONG,
     SCALAR,
     Grid,
     foot_point,
@@ -69,26 +70,28 @@ def shell_ranges(
     return (-b - root) / a, (-b + root) / a
 
 
-@njit(**SCALAR)
-def bend_terms(bend: Bend, k: int, axis: int) -> tuple[float, float]:
-    """Return B1 and B2 along one axis for ray `k`."""
-    i = (bend.image_px[k, 0] - bend.centre[0]) * bend.scale[0]
-    j = (bend.image_px[k, 1] - bend.centre[1]) * bend.scale[1]
+@njit(**LONG)
+def bend_group(bend: Bend, first: int, count: int, rays: FloatArray) -> None:
+    """Fill numbers 6 to 11 of the group's `rays`, B1 and B2, for the rays from `first` on.
+
+    Numbers 14 and 15 are left with the scaled line and sample.
+    """
     c = bend.coefficients
-    b1 = 0.0
-    b2 = 0.0
+    for m in range(count):
+        rays[14 * GROUP + m] = (bend.image_px[first + m, 0] - bend.centre[0]) * bend.scale[0]
+        rays[15 * GROUP + m] = (bend.image_px[first + m, 1] - bend.centre[1]) * bend.scale[1]
     for order in range(2):
-        value = (
-            c[order, 0, axis]
-            + i * (c[order, 1, axis] + i * (c[order, 3, axis] + i * c[order, 6, axis]))
-            + j * (c[order, 2, axis] + j * (c[order, 5, axis] + j * c[order, 9, axis]))
-            + i * j * (c[order, 4, axis] + i * c[order, 7, axis] + j * c[order, 8, axis])
-        )
-        if order == 0:
-            b1 = value
-        else:
-            b2 = value
-    return b1, b2
+        for axis in range(3):
+            c0, c1, c2 = c[order, 0, axis], c[order, 1, axis], c[order, 2, axis]
+            c3, c4, c5 = c[order, 3, axis], c[order, 4, axis], c[order, 5, axis]
+            c6, c7, c8 = c[order, 6, axis], c[order, 7, axis], c[order, 8, axis]
+            c9 = c[order, 9, axis]
+            row = (6 + 3 * order + axis) * GROUP
+            for m in range(GROUP):
+                i, j = rays[14 * GROUP + m], rays[15 * GROUP + m]
+                rays[row + m] = (
+                    c0 + i * (c1 + i * (c3 + i * c6)) + j * (c2 + j * (c5 + j * c9))
+                ) + i * j * (c4 + i * c7 + j * c8)
 
 
 @njit(**SCALAR)

@@ -121,10 +121,12 @@ def walk(
     s: float,
     s_end: float,
     over: int,
+    level: int,
 ) -> tuple[int, float, int]:
     """Follow an expanded ray from `s` to `s_end`: what it met, where, what it is over.
 
     The terms are the polynomials (value, first, second) of row, column and height in s.
+    `level` is that of the blocks to begin with, 0 for cells, or −1: about as wide as the way.
     """
     r0, r1, r2 = row_terms
     c0, c1, c2 = col_terms
@@ -152,14 +154,14 @@ def walk(
             return PASSED, s_end, over
     i = min(max(int(row), 0), rows - 2)
     j = min(max(int(col), 0), cols - 2)
-    # begin with blocks about as wide as the way is
-    span = max(
-        abs((s_end - s) * (r1 + (s_end + s) * r2)), abs((s_end - s) * (c1 + (s_end + s) * c2))
-    )
     top = levels.shape[0]
-    level = 1
-    while level < top and span > 16 << (BLOCK_BITS * (level - 1)):
-        level += 1
+    if level < 0:
+        span = max(
+            abs((s_end - s) * (r1 + (s_end + s) * r2)), abs((s_end - s) * (c1 + (s_end + s) * c2))
+        )
+        level = 1
+        while level < top and span > 16 << (BLOCK_BITS * (level - 1)):
+            level += 1
     while True:
         row = r0 + s * (r1 + s * r2)
         col = c0 + s * (c1 + s * c2)
