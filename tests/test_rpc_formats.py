@@ -27,7 +27,7 @@ from geoposition.errors import (
     UnsupportedError,
 )
 from geoposition.rpc.direct import DirectRpc
-from geoposition.rpc.formats import DIALECTS, read_rpc, write_rpc
+from geoposition.rpc.formats import DIALECTS, read_rpc, verify, write_rpc
 from geoposition.rpc.formats._fields import SCALAR_FIELDS, from_one_based, to_one_based
 from geoposition.rpc.model import RpcModel, RpcValidity
 
@@ -452,3 +452,29 @@ def test_json_names_its_fields(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps(document))
     with pytest.raises(ProductError, match="line_num"):
         read_rpc(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("name", ["a.RPB", "a_RPC.TXT", "a.XML", "a.geom", "a.json", "a.tif"])
+def test_each_dialect_states_pixel_origin_and_height_datum(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    write_rpc(example(), path)
+    if name.endswith(".tif"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(path) as source:
+                text = " ".join(source.tags().values())
+    else:
+        text = path.read_text(encoding="utf-8")
+    first = "(1, 1)" if name.endswith(".XML") else "(0, 0)"
+    assert f"the centre of the first pixel is {first}" in text
+    assert "metres above the WGS 84 ellipsoid" in text
+
+
+@pytest.mark.parametrize("name", ["a.RPB", "a.tif"])
+def test_a_file_that_fails_its_verification_is_not_written(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verify, "TOLERANCE_PX", -1.0)
+    with pytest.raises(ProductError, match="not written"):
+        verify.write_verified(example(), tmp_path / name)
+    assert list(tmp_path.iterdir()) == []

@@ -37,6 +37,11 @@ COEFFICIENT_FIELDS = {
 _EXACT = Context(prec=400)
 """Enough digits that a double's decimal text plus or minus one is exact, down to 1e-380."""
 
+PIXEL_ORIGIN = "0-based rows and columns, the centre of the first pixel is (0, 0)"
+PIXEL_ORIGIN_DIMAP = "1-based rows and columns, the centre of the first pixel is (1, 1)"
+HEIGHT_DATUM = "metres above the WGS 84 ellipsoid"
+"""Said in every file for whoever opens it; no reader needs it."""
+
 ERROR_FIELDS = {"ERR_BIAS": "err_bias_m", "ERR_RAND": "err_rand_m"}
 
 

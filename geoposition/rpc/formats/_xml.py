@@ -42,9 +42,12 @@ def zero_based(node: XmlNode, tag: str) -> float:
     return fields.from_one_based(child.path, child.place, child.text())
 
 
-def render(root: str, tree: Tree) -> str:
+def render(root: str, tree: Tree, pixel_origin: str) -> str:
     """Indented document with `root` around `tree`; texts are escaped."""
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>']
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f"<!-- Pixels: {pixel_origin}. Heights: {fields.HEIGHT_DATUM}. -->",
+    ]
 
     def put(tag: str, value: str | Tree, depth: int) -> None:
         pad = "  " * depth

@@ -133,7 +133,7 @@ def write(model: RpcModel, path: Path) -> None:
             "Global_RFM": rfm,
         },
     }
-    write_text(path, render(ROOT, document))
+    write_text(path, render(ROOT, document, fields.PIXEL_ORIGIN_DIMAP))
 
 
 def _tags(key: str, coefficients: list[float]) -> dict[str, str | Tree]:

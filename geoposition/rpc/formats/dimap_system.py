@@ -102,4 +102,4 @@ def write(model: RpcModel, path: Path) -> None:
     if model.image_shape is not None:
         lines, samples = map(str, model.image_shape)
         document["Raster_Dimensions"] = {"NROWS": lines, "NCOLS": samples}
-    write_text(path, render(ROOT, document))
+    write_text(path, render(ROOT, document, fields.PIXEL_ORIGIN_DIMAP))

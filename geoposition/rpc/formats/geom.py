@@ -67,6 +67,7 @@ def read(path: Path) -> RpcModel:
 def write(model: RpcModel, path: Path) -> None:
     """Write `model`, at full precision, as an ossimRpcModel."""
     texts = {"type": "ossimRpcModel", "polynomial_format": "B"}
+    texts |= {"pixel_origin": fields.PIXEL_ORIGIN, "height_datum": fields.HEIGHT_DATUM}
     texts["sensor"] = model.satellite or "unknown"
     for key, field in fields.SCALAR_FIELDS.items():
         texts[key.lower()] = repr(getattr(model, field))

@@ -164,5 +164,8 @@ def write(model: RpcModel, path: Path) -> None:
                         path, "image size", f"{model.shape} expected, got {target.shape}"
                     )
                 target.rpcs = rpcs
+                target.update_tags(
+                    RPC_PIXEL_ORIGIN=fields.PIXEL_ORIGIN, RPC_HEIGHT_DATUM=fields.HEIGHT_DATUM
+                )
         except RasterioError as error:
             raise ProductError(path, "", f"a writable TIFF file expected ({error})") from None

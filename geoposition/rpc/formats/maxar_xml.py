@@ -74,4 +74,4 @@ def write(model: RpcModel, path: Path) -> None:
         "SPECID": "RPC00B",
         "IMAGE": image,
     }
-    write_text(path, render(ROOT, document))
+    write_text(path, render(ROOT, document, fields.PIXEL_ORIGIN))

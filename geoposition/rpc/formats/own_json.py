@@ -15,18 +15,14 @@ import numpy as np
 
 from geoposition.errors import ArgumentError, ProductError, UnsupportedError
 from geoposition.rpc.direct import DirectRpc
-from geoposition.rpc.formats._fields import build
+from geoposition.rpc.formats._fields import HEIGHT_DATUM, PIXEL_ORIGIN, build
 from geoposition.rpc.formats._files import read_text, write_text
 from geoposition.rpc.model import RpcModel, RpcValidity
 
 FORMAT = "geoposition-rpc"
 VERSION = 1
 
-_STATEMENTS = {
-    "pixel_origin": "0-based rows and columns, the centre of the first pixel is (0, 0)",
-    "height_datum": "metres above the WGS 84 ellipsoid",
-}
-"""Said in the file for whoever opens it; nothing else is written or read."""
+_STATEMENTS = {"pixel_origin": PIXEL_ORIGIN, "height_datum": HEIGHT_DATUM}
 
 _FIELDS = [field.name for field in fields(RpcModel) if field.init]
 _TEXTS = {"satellite", "band"}

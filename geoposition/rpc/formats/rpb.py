@@ -90,5 +90,7 @@ def write(model: RpcModel, path: Path) -> None:
     for key, field in COEFFICIENTS.items():
         numbers = ",\n".join(f"\t\t\t{value!r}" for value in getattr(model, field).tolist())
         lines.append(f"\t{key} = (\n{numbers});")
-    lines += ["END_GROUP = IMAGE", "END;", ""]
+    lines += ["END_GROUP = IMAGE", "END;"]
+    # behind the end, where no parser looks
+    lines += [f"/* Pixels: {fields.PIXEL_ORIGIN}. Heights: {fields.HEIGHT_DATUM}. */", ""]
     write_text(path, "\n".join(lines))

@@ -65,4 +65,5 @@ def write(model: RpcModel, path: Path) -> None:
     for key, field in fields.ERROR_FIELDS.items():
         if getattr(model, field) is not None:
             lines.append(f"{key}: {getattr(model, field)!r} meters")
+    lines += [f"PIXEL_ORIGIN: {fields.PIXEL_ORIGIN}", f"HEIGHT_DATUM: {fields.HEIGHT_DATUM}"]
     write_text(path, "\n".join(lines) + "\n")

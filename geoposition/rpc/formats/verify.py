@@ -24,7 +24,8 @@ from geoposition.arrays import FloatArray
 from geoposition.errors import ProductError
 from geoposition.flags import has_result
 from geoposition.rpc.formats import _fields as fields
-from geoposition.rpc.formats import read_rpc, sniff
+from geoposition.rpc.formats import dialect_for, read_rpc, sniff, write_rpc
+from geoposition.rpc.formats._files import whole_file
 from geoposition.rpc.model import RpcModel
 
 TOLERANCE_PX: Final = 1e-6
@@ -78,6 +79,30 @@ def verify_rpc(model: RpcModel, path: str | Path, points: int = 1000) -> Verific
     found = np.stack([line, samp], axis=-1) - 0.5
     distance = np.hypot(*(found - expected.image_px[good]).T)
     return Verification(int(good.sum()), float(distance.max(initial=0.0)), reader)
+
+
+def write_verified(model: RpcModel, path: str | Path) -> Verification:
+    """Write `model` to `path` once `verify_rpc` has passed on it; else nothing is written.
+
+    Raises
+    ------
+    ProductError
+        What is read again is off by more than `TOLERANCE_PX`.
+    """
+    path = Path(path)
+    with whole_file(path) as trial:
+        if path.exists():  # a TIFF keeps its pixels
+            shutil.copyfile(path, trial)
+        write_rpc(model, trial, dialect_for(path))
+        verified = verify_rpc(model, trial)
+        if not verified.passed:
+            raise ProductError(
+                path,
+                "",
+                f"not written: read again by {verified.reader} it differs by "
+                f"{verified.max_px:.3g} px, {TOLERANCE_PX:g} px expected",
+            )
+    return verified
 
 
 def _same(values: FloatArray) -> FloatArray:
