@@ -23,10 +23,16 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-rpc_app = typer.Typer(
-    help="Rational polynomial coefficients: fit, compare, convert.", no_args_is_help=True
-)
-app.add_typer(rpc_app, name="rpc")
+_GROUPS = {
+    name: typer.Typer(help=text, no_args_is_help=True)
+    for name, text in (
+        ("rpc", "Rational polynomial coefficients: fit, compare, convert."),
+        ("attitude", "Attitude from star sensors and gyros: check, fuse, convert, find jitter."),
+        ("experiment", "The seed documents' tables, beside ours and the bound."),
+    )
+}
+for _name, _group in _GROUPS.items():
+    app.add_typer(_group, name=_name)
 
 _COMMANDS = (
     "demo",
@@ -38,6 +44,15 @@ _COMMANDS = (
     "rpc_fit",
     "rpc_compare",
     "rpc_convert",
+    "attitude_preprocess",
+    "attitude_determine",
+    "attitude_axis_angle",
+    "attitude_gyro_check",
+    "attitude_jitter",
+    "attitude_convert",
+    "attitude_fuse",
+    "experiment_thesis_ch3",
+    "experiment_thesis_ch4",
 )
 
 
@@ -54,8 +69,9 @@ def build() -> typer.Typer:
     """Return the application with all commands registered."""
     for name in _COMMANDS:
         module = import_module(f"geoposition.scripts.commands.{name}")
-        target = rpc_app if name.startswith("rpc_") else app
-        command = name.removeprefix("rpc_").replace("_", "-")
+        group, _, rest = name.partition("_")
+        target = _GROUPS.get(group, app)
+        command = (rest if group in _GROUPS else name).replace("_", "-")
         registered = {entry.name for entry in target.registered_commands}
         if command not in registered:
             target.command(command)(module.command)

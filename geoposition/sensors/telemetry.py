@@ -212,6 +212,10 @@ class GyroParameters:
 
     @property
     def matrix(self) -> FloatArray:
-        """S (3, 3)."""
-        s, u, k = self.scale, self.upper, self.lower
-        return np.array([[s[0], u[0], u[1]], [k[0], s[1], u[2]], [k[1], k[2], s[2]]])
+        """S (..., 3, 3)."""
+        s, u, k = np.broadcast_arrays(self.scale, self.upper, self.lower)
+        matrix = np.zeros((*s.shape, 3))
+        matrix[..., range(3), range(3)] = s
+        matrix[..., (0, 0, 1), (1, 2, 2)] = u
+        matrix[..., (1, 2, 2), (0, 0, 1)] = k
+        return matrix

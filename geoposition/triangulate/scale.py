@@ -13,15 +13,14 @@ from typing import Final
 
 import numpy as np
 
-from geoposition.arrays import BoolArray, FloatArray
-from geoposition.ellipsoid import geodetic_to_ecef
+from geoposition.arrays import FloatArray
+from geoposition.error_budget.image_scale import image_scale_at
+from geoposition.error_budget.model_error import ModelError, image_error_covariance
 from geoposition.errors import GeometryError
-from geoposition.flags import has_result
 from geoposition.sensor_model import SensorModel
 
 _GRID: Final = 9
 _HEIGHTS: Final = 3
-_STEP_PX: Final = 2.0
 _LEAST_RANGE_M: Final = 200.0
 TERMS: Final = 10
 """Terms of the quadratic: 1, l, s, h, l², s², h², l s, l h, s h."""
@@ -49,7 +48,8 @@ def image_scale(model: SensorModel) -> FloatArray:
         indexing="ij",
     )
     place = np.stack(mesh, axis=-1).reshape(-1, 3)
-    jacobian, good = _jacobian(model, place[:, :2], place[:, 2])
+    scale = image_scale_at(model, place[:, :2], place[:, 2])
+    jacobian, good = scale.image_per_m, scale.good
     if good.sum() < 2 * TERMS:
         raise GeometryError("image scale: the model sees no ground over most of its image")
     centre = np.array([0.5 * (lines - 1), 0.5 * (samples - 1), 0.5 * (low + high)])
@@ -68,23 +68,32 @@ def quadratic_terms(p: FloatArray) -> FloatArray:
     return np.stack(terms, axis=-1)
 
 
-def _jacobian(
-    model: SensorModel, image_px: FloatArray, height_m: FloatArray
-) -> tuple[FloatArray, BoolArray]:
-    """d(line, sample)/d(ECEF) (n, 2, 3), and where it was found (n,)."""
-    sides = np.array([[_STEP_PX, 0.0], [-_STEP_PX, 0.0], [0.0, _STEP_PX], [0.0, -_STEP_PX]])
-    around = model.image_to_ground(image_px[:, None] + sides, height_m[:, None])
-    sight = model.rays(image_px, height_m)
-    good = has_result(around.flag).all(axis=1) & has_result(sight.flag)
-    ground = geodetic_to_ecef(np.where(good[:, None, None], around.geodetic, 0.0))
-    columns = np.empty((len(image_px), 3, 3))
-    columns[:, :, 0] = (ground[:, 0] - ground[:, 1]) / (2.0 * _STEP_PX)
-    columns[:, :, 1] = (ground[:, 2] - ground[:, 3]) / (2.0 * _STEP_PX)
-    columns[:, :, 2] = sight.direction_ecef
-    # Where anything is missing a harmless matrix stands in; a flat one is no answer either.
-    columns[~good] = np.eye(3)
-    columns[:, :, 2] *= np.linalg.norm(columns[:, :, 0], axis=1, keepdims=True)
-    good &= np.abs(np.linalg.det(columns)) > 1e-9 * np.abs(columns).max(axis=(1, 2)) ** 3
-    columns[~good] = np.eye(3)
-    inverse = np.linalg.inv(columns)
-    return np.asarray(inverse[:, :2], dtype=np.float64), good
+def error_field(model: SensorModel, error: ModelError, packed: FloatArray) -> FloatArray:
+    """Coefficients (TERMS, 3) of what `error` does to image points: px², of ll, ls, ss.
+
+    Normalised as the model's image scale `packed`. See `error_budget.model_error`.
+    """
+    if error.nothing:
+        return np.zeros((TERMS, 3))
+    centre, extent = packed[0, :3], 1.0 / packed[0, 3:]
+    mesh = np.meshgrid(*(c + e * np.linspace(-1, 1, n) for c, e, n in
+                         zip(centre, extent, (_GRID, _GRID, _HEIGHTS), strict=True)),
+                       indexing="ij")  # fmt: skip
+    place = np.stack(mesh, axis=-1).reshape(-1, 3)
+    covariance = image_error_covariance(model, error, place[:, :2], place[:, 2])
+    values = covariance.reshape(-1, 4)[:, [0, 1, 3]]
+    good = np.isfinite(values).all(axis=1)
+    if good.sum() < 2 * TERMS:
+        raise GeometryError("model error: the model sees no ground over most of its image")
+    terms = quadratic_terms((place[good] - centre) / extent)
+    found = np.linalg.lstsq(terms, values[good], rcond=1e-12)[0]
+    return np.asarray(found, dtype=np.float64)
+
+
+def field_covariance(
+    field: FloatArray, packed: FloatArray, image_px: FloatArray, height_m: FloatArray
+) -> FloatArray:
+    """Covariances (n, 2, 2) of an `error_field` at image points (n, 2) and heights (n,)."""
+    place = np.column_stack([image_px, height_m])
+    ll, ls, ss = (quadratic_terms((place - packed[0, :3]) * packed[0, 3:]) @ field).T
+    return np.stack([np.stack([ll, ls], axis=-1), np.stack([ls, ss], axis=-1)], axis=-2)

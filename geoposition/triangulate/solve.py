@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
-from geoposition.arrays import FlagArray, FloatArray, IntArray
+from geoposition.arrays import BoolArray, FlagArray, FloatArray, IntArray
+from geoposition.ellipsoid import enu_axes
+from geoposition.error_budget.model_error import ModelError
 from geoposition.flags import Flag, has_result
 from geoposition.observations import TiePoints
 from geoposition.rays import Rays
 from geoposition.sensor_model import SensorModel
 from geoposition.triangulate import kernels
-from geoposition.triangulate.scale import SCALE_SHAPE, image_scale
+from geoposition.triangulate.scale import (
+    SCALE_SHAPE,
+    TERMS,
+    error_field,
+    field_covariance,
+    image_scale,
+)
 from geoposition.triangulate.start import HeightStart, height_range_m, height_start
 
 RAY_TOLERANCE_M: Final = 1.0
@@ -39,15 +47,20 @@ class PartResult:
     flag: FlagArray
     image_residual_px: FloatArray
     redundancy: FloatArray
+    systematic_enu_m2: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """The models, their image scales, and the height cubics of the pairs met so far."""
+    """The models, their image scales, and the height cubics of the pairs met so far.
+
+    `errors` (models, TERMS, 3) are the `error_field`s of the models' own errors, if any.
+    """
 
     models: tuple[SensorModel, ...]
     fields: FloatArray
     min_convergence_rad: float
+    errors: FloatArray | None = None
     starts: dict[tuple[int, int], HeightStart | None] = field(default_factory=dict)
 
     def start_of(self, first: int, second: int) -> HeightStart | None:
@@ -94,6 +107,23 @@ def image_scales(models: Sequence[SensorModel], ties: TiePoints) -> FloatArray:
     return fields
 
 
+def error_fields(
+    models: Sequence[SensorModel], errors: Sequence[ModelError | None], fields: FloatArray
+) -> FloatArray | None:
+    """Error fields (models, TERMS, 3) of the models in use; None where no error is stated."""
+    stated = [
+        (k, error)
+        for k, error in enumerate(errors)
+        if error is not None and not error.nothing and np.any(fields[k])
+    ]
+    if not stated:
+        return None
+    out = np.zeros((len(models), TERMS, 3))
+    for k, error in stated:
+        out[k] = error_field(models[k], error, fields[k])
+    return out
+
+
 def inverse_roots(covariance_px2: FloatArray) -> FloatArray:
     """L⁻¹ (n, 2, 2) of covariances L Lᵀ."""
     inverse = np.linalg.inv(np.linalg.cholesky(covariance_px2))
@@ -117,6 +147,50 @@ def _first_heights(scene: Scene, part: Part) -> FloatArray:
             part.image_px[first[mine]], part.image_px[last[mine]]
         )
     return height
+
+
+def _systematic(scene: Scene, part: Part, height_m: FloatArray) -> FloatArray | None:
+    """Covariances (observations, 2, 2) of the models' errors in the images; None without any."""
+    if scene.errors is None:
+        return None
+    out = np.zeros((len(part.product), 2, 2))
+    height = height_m[part.point]
+    for k in np.unique(part.product):
+        mine = part.product == k
+        out[mine] = field_covariance(
+            scene.errors[k], scene.fields[k], part.image_px[mine], height[mine]
+        )
+    # An image point that is none must not spoil a Cholesky factor; its ray is flagged anyway.
+    out[~np.isfinite(out).all(axis=(1, 2))] = 0.0
+    return out
+
+
+def with_errors(part: Part, systematic_px2: FloatArray) -> Part:
+    """Return the part with weights of image noise and models' errors together."""
+    inverse = np.linalg.inv(part.root)
+    noise = inverse @ inverse.transpose(0, 2, 1)
+    return replace(part, root=inverse_roots(noise + systematic_px2))
+
+
+def systematic_part(
+    part: Part,
+    rows: FloatArray,
+    used: BoolArray,
+    systematic_px2: FloatArray,
+    found: PartResult,
+) -> FloatArray:
+    """Covariance (n, 3, 3), east, north, up, from the models' errors alone.
+
+    C (sum Aᵀ L⁻¹ S L⁻ᵀ A) C with the covariance C of all errors together, from the weights that
+    were used, and S the models' part of it in an image.
+    """
+    lon_lat = np.where(np.isfinite(found.geodetic), found.geodetic, 0.0)
+    local = np.where(used[:, None, None], rows, 0.0) @ enu_axes(lon_lat)[part.point]
+    whitened = part.root @ systematic_px2 @ part.root.transpose(0, 2, 1)
+    each = local.transpose(0, 2, 1) @ whitened @ local
+    total = np.add.reduceat(each, part.start[:-1], axis=0)
+    covariance = found.covariance_enu_m2
+    return np.asarray(covariance @ total @ covariance, dtype=np.float64)
 
 
 def _rays(scene: Scene, part: Part, height_m: FloatArray) -> Rays:
@@ -177,9 +251,13 @@ def solve_part(scene: Scene, part: Part) -> PartResult:
         flag=np.full(n, Flag.TOO_FEW_RAYS, dtype=np.uint8),
         image_residual_px=np.full((rows_of_part, 2), np.nan),
         redundancy=np.full((rows_of_part, 2, 2), np.nan),
+        systematic_enu_m2=np.full((n, 3, 3), np.nan),
     )
     ray_flag = np.empty(rows_of_part, dtype=np.uint8)
     height = _first_heights(scene, part)
+    systematic_px2 = _systematic(scene, part, height)
+    if systematic_px2 is not None:
+        part = with_errors(part, systematic_px2)
     todo = np.arange(n)
     for _ in range(1 + MORE_RAYS):
         some, rows = part.of_points(todo)
@@ -208,9 +286,10 @@ def solve_part(scene: Scene, part: Part) -> PartResult:
     out.image_residual_px[:] = _least_residuals(
         scene, part, height, out.geodetic, out.flag, ray_flag
     )
+    weighted = _weighted_rows(scene, part, height)
     kernels.finish(
         part.start,
-        _weighted_rows(scene, part, height),
+        weighted,
         part.root,
         part.root_step,
         ray_flag,
@@ -224,6 +303,10 @@ def solve_part(scene: Scene, part: Part) -> PartResult:
     )
     lost = ~has_result(out.flag)
     out.geodetic[lost] = np.nan
+    out.systematic_enu_m2[~lost] = 0.0
+    if systematic_px2 is not None:
+        used = has_result(ray_flag) & ~lost[part.point]
+        out.systematic_enu_m2[:] = systematic_part(part, weighted, used, systematic_px2, out)
     out.image_residual_px[lost[part.point] | ~has_result(ray_flag)] = np.nan
     return out
 

@@ -51,7 +51,8 @@ class AttitudeEstimate:
     (rad/s), scale, upper and lower misalignment (`STATE_NAMES`). `bias_rad_s` (n, 3);
     `parameters` (n, 9) are scale, upper, lower (zeros for the bias model). `covariance`
     (n, s, s), s = 6 or 15; `lag_one` (n − 1, 3, 3), where computed, is the cross-covariance
-    E[d_k d_{k+1}^T] of neighbouring attitudes.
+    E[d_k d_{k+1}^T] of neighbouring attitudes; `lag_state` (n − 1, s, s), where asked for, that
+    of whole states.
     """
 
     times_s: FloatArray
@@ -61,6 +62,7 @@ class AttitudeEstimate:
     covariance: FloatArray
     lag_one: FloatArray | None = None
     innovations: Innovations | None = None
+    lag_state: FloatArray | None = None
 
     @property
     def R_inertial_body(self) -> Rotation:

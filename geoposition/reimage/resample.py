@@ -1,0 +1,160 @@
+"""Pixel values at mapped places, for any common type of pixel, several bands, missing pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from geoposition.arrays import FlagArray
+from geoposition.errors import ArgumentError
+from geoposition.reimage import resample_kernels as kernels
+from geoposition.reimage.mapping import RowMap
+from geoposition.reimage.place_kernels import resample_places
+
+Method: TypeAlias = Literal["nearest", "bilinear", "cubic", "lanczos"]
+
+METHODS: Final[dict[str, int]] = {
+    "nearest": kernels.NEAREST,
+    "bilinear": kernels.BILINEAR,
+    "cubic": kernels.CUBIC,
+    "lanczos": kernels.LANCZOS,
+}
+PIXEL_TYPES: Final = ("uint8", "int16", "uint16", "float32")
+"""What 32-bit floats hold without loss."""
+
+Pixels: TypeAlias = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Resampler:
+    """How values are found between pixels, and which value stands for no pixel.
+
+    Whole numbers are rounded and kept within their type: a kernel with negative weights can
+    leave the range of what it looks at, not that of the type, and never becomes `nodata`.
+    Without `nodata` what is not seen is 0, for floats NaN, and only `valid` tells.
+    """
+
+    method: Method = "cubic"
+    nodata: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ArgumentError(
+                f"resampling: one of {', '.join(METHODS)} expected, got {self.method!r}"
+            )
+
+    @property
+    def reach(self) -> int:
+        """Pixels on either side of a place that are looked at."""
+        return kernels.REACH[METHODS[self.method]]
+
+    def rows(
+        self,
+        image: Pixels,
+        places: RowMap,
+        cols: int,
+        origin: tuple[int, int] = (0, 0),
+        first_col: int = 0,
+    ) -> tuple[Pixels, FlagArray]:
+        """Values (bands, rows, cols) at `places`, and where there are any (rows, cols).
+
+        `image` (bands, lines, samples) is a window whose first pixel is at `origin` of the
+        source; `cols` columns are made, from `first_col` on.
+        """
+        shape = len(places.places), cols
+        out, valid = _empty(image, shape)
+        for band, target in zip(image, out, strict=True):
+            limits = self._limits(band.dtype)
+            seen = np.empty(shape, dtype=np.uint8)
+            kernels.resample_rows(
+                band,
+                self._holes(band),
+                places.places,
+                places.node_step,
+                first_col,
+                float(origin[0]),
+                float(origin[1]),
+                METHODS[self.method],
+                kernels.LANCZOS_TABLE,
+                *limits,
+                target,
+                seen,
+            )
+            self._keep_apart(target, seen)
+            valid &= seen
+        return out, valid
+
+    def at(
+        self, image: Pixels, line: Pixels, sample: Pixels, origin: tuple[int, int] = (0, 0)
+    ) -> tuple[Pixels, FlagArray]:
+        """Values (bands, rows, cols) at `line`, `sample` (rows, cols), as `rows`."""
+        out, valid = _empty(image, line.shape)
+        for band, target in zip(image, out, strict=True):
+            seen = np.empty(line.shape, dtype=np.uint8)
+            resample_places(
+                band,
+                self._holes(band),
+                line,
+                sample,
+                float(origin[0]),
+                float(origin[1]),
+                METHODS[self.method],
+                kernels.LANCZOS_TABLE,
+                *self._limits(band.dtype),
+                target,
+                seen,
+            )
+            self._keep_apart(target, seen)
+            valid &= seen
+        return out, valid
+
+    def fill(self, dtype: DTypeLike) -> float:
+        """Value of pixels of `dtype` that are not seen."""
+        if self.nodata is not None:
+            return self.nodata
+        return float("nan") if np.dtype(dtype).kind == "f" else 0.0
+
+    def _limits(self, dtype: np.dtype[Any]) -> tuple[float, bool, float, float, float, float]:
+        """Nodata and whether there is one; lowest, highest, what rounds, what fills."""
+        nodata, fill = self.nodata, self.fill(dtype)
+        if dtype.kind == "f":
+            big = float(np.finfo(np.float32).max)
+            return nodata or 0.0, nodata is not None, -big, big, 0.0, fill
+        low, high = float(np.iinfo(dtype).min), float(np.iinfo(dtype).max)
+        if nodata is not None and not low <= nodata <= high:
+            raise ArgumentError(f"nodata: a value of {dtype} expected, got {nodata:g}")
+        if nodata == low:
+            low += 1.0
+        elif nodata == high:
+            high -= 1.0
+        return nodata or 0.0, nodata is not None, low, high, 0.5, fill
+
+    def _holes(self, band: Pixels) -> FlagArray:
+        if self.nodata is None and band.dtype.kind != "f":
+            return np.empty((0, 0), dtype=np.uint8)
+        size = tuple(-(-n // kernels.BLOCK) for n in band.shape)
+        holes = np.empty(size, dtype=np.uint8)
+        kernels.find_holes(band, self.nodata or 0.0, self.nodata is not None, holes)
+        return holes if holes.any() else np.empty((0, 0), dtype=np.uint8)
+
+    def _keep_apart(self, out: Pixels, valid: FlagArray) -> None:
+        """Move values that have become `nodata` by chance to their neighbour."""
+        if self.nodata is None or self.method == "nearest" or out.dtype.kind == "f":
+            return
+        if self.nodata in (np.iinfo(out.dtype).min, np.iinfo(out.dtype).max):
+            return
+        out[(out == self.nodata) & (valid != 0)] += 1
+
+
+def _empty(image: Pixels, shape: tuple[int, ...]) -> tuple[Pixels, FlagArray]:
+    if image.ndim != 3 or image.dtype.name not in PIXEL_TYPES:
+        raise ArgumentError(
+            f"resampling: bands of {', '.join(PIXEL_TYPES)} expected, got {image.ndim} "
+            f"dimensions of {image.dtype}"
+        )
+    if not image.flags.c_contiguous:
+        raise ArgumentError("resampling: a contiguous image expected")
+    return np.empty((len(image), *shape), dtype=image.dtype), np.ones(shape, dtype=np.uint8)

@@ -1,0 +1,162 @@
+"""A whole image, strip by strip: only the lines that a strip looks at are held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geoposition.arrays import FlagArray, FloatArray
+from geoposition.errors import ArgumentError
+from geoposition.pushbroom import PushbroomModel
+from geoposition.reimage.mapping import DEFAULT_BOUND_PX, RowMap, SourceMapping, map_models
+from geoposition.reimage.resample import Resampler
+from geoposition.reimage.virtual import Segment, single_ccd
+from geoposition.sensor_model import SensorModel
+from geoposition.terrain import Terrain
+
+STRIP_ROWS: Final = 512
+
+ReadLines = Callable[[int, int], NDArray[Any]]
+"""Lines first ... end − 1 of the source, as (bands, lines, samples)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Columns `first_col` ... `end_col` − 1 of the target, from a span of the source's samples.
+
+    `mapping` leads to a source that begins at `first_sample` and has `samples` of them.
+    """
+
+    mapping: SourceMapping
+    first_col: int
+    end_col: int
+    first_sample: int
+    samples: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strip:
+    """Rows of the new image from `first_row` on.
+
+    `pixels` (bands, rows, cols), `valid` (rows, cols), and the map of each part.
+    """
+
+    first_row: int
+    pixels: NDArray[Any]
+    valid: FlagArray
+    maps: tuple[RowMap, ...]
+
+    @property
+    def error_px(self) -> float:
+        """Largest interpolation error found."""
+        return max(places.error_px for places in self.maps)
+
+
+def parts_of(
+    target: SensorModel,
+    source: PushbroomModel,
+    terrain: Terrain | float,
+    segments: Sequence[Segment] = (),
+    bound_px: float = DEFAULT_BOUND_PX,
+) -> tuple[Part, ...]:
+    """Map `target` to `source`: as a whole, or each of the `segments` to its own CCD."""
+    samples = source.shape[1]
+    if not segments:
+        mapping = map_models(target, source, terrain, bound_px)
+        return (Part(mapping, 0, target.shape[1], 0, samples),)
+    known: dict[int, SourceMapping] = {}
+    parts = []
+    for segment in segments:
+        number = segment.number
+        if number not in known:
+            known[number] = map_models(target, single_ccd(source, number), terrain, bound_px)
+        first = round(source.camera.detectors[number].first_sample)
+        own = known[number].source.shape[1]
+        parts.append(Part(known[number], segment.first_col, segment.end_col, first, own))
+    return tuple(parts)
+
+
+def strips(
+    parts: Sequence[Part],
+    read_lines: ReadLines,
+    resampler: Resampler,
+    rows: int = STRIP_ROWS,
+) -> Iterator[Strip]:
+    """Make the target's image in strips of `rows` rows; the next lines are read meanwhile."""
+    if rows < 1 or not parts:
+        raise ArgumentError("re-imaging: at least one part and one row a strip expected")
+    lines = parts[0].mapping.target.shape[0]
+    starts = range(0, lines, rows)
+    with ThreadPoolExecutor(max_workers=1) as reader:
+        maps, first, pending = _ahead(parts, starts[0], rows, read_lines, resampler, reader)
+        for k, start in enumerate(starts):
+            image, now, origin = pending.result(), maps, first
+            if k + 1 < len(starts):
+                maps, first, pending = _ahead(
+                    parts, starts[k + 1], rows, read_lines, resampler, reader
+                )
+            yield _strip(parts, now, start, image, origin, resampler)
+
+
+def _ahead(
+    parts: Sequence[Part],
+    start: int,
+    rows: int,
+    read_lines: ReadLines,
+    resampler: Resampler,
+    reader: ThreadPoolExecutor,
+) -> tuple[tuple[RowMap, ...], int, Any]:
+    """Map the rows from `start` on and begin to read what they look at."""
+    lines = parts[0].mapping.target.shape[0]
+    source_lines = parts[0].mapping.source.shape[0]
+    end = min(start + rows, lines)
+    known: dict[int, RowMap] = {}
+    maps = []
+    for part in parts:
+        key = id(part.mapping)
+        if key not in known:
+            known[key] = part.mapping.rows(start, end)
+        maps.append(known[key])
+    spans = [span for span in (places.source_lines() for places in maps) if span is not None]
+    first = last = 0
+    if spans:
+        low, high = min(a for a, _ in spans), max(b for _, b in spans)
+        first = int(np.clip(np.floor(low) - resampler.reach, 0, source_lines - 1))
+        last = int(np.clip(np.ceil(high) + resampler.reach, 0, source_lines - 1))
+    return tuple(maps), first, reader.submit(read_lines, first, last + 1)
+
+
+def _strip(
+    parts: Sequence[Part],
+    maps: tuple[RowMap, ...],
+    start: int,
+    image: NDArray[Any],
+    first_line: int,
+    resampler: Resampler,
+) -> Strip:
+    if len(parts) == 1:
+        only = parts[0]
+        pixels, valid = resampler.rows(image, maps[0], only.end_col, (first_line, 0))
+        return Strip(start, pixels, valid, maps)
+    made = []
+    for part, places in zip(parts, maps, strict=True):
+        own = image[:, :, part.first_sample : part.first_sample + part.samples]
+        cols = part.end_col - part.first_col
+        own = np.ascontiguousarray(own)
+        made.append(resampler.rows(own, places, cols, (first_line, 0), part.first_col))
+    pixels = np.concatenate([values for values, _ in made], axis=2)
+    return Strip(start, pixels, np.concatenate([seen for _, seen in made], axis=1), maps)
+
+
+def mean_displacement_px(strip: Strip) -> FloatArray:
+    """Mean displacement (rows, 2) over the columns, (line, sample): jitter as the image has it."""
+    moved = np.concatenate([places.displacement_px()[:, :-1] for places in strip.maps], axis=1)
+    known = np.isfinite(moved)
+    count = known.sum(axis=1)
+    total = np.where(known, moved, 0.0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

@@ -1,0 +1,318 @@
+"""A dense run: ties, relative bias, coarse surface, points, gridded surface, comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import Final
+
+import numpy as np
+
+from geoposition.arrays import FloatArray
+from geoposition.datum import utm_epsg
+from geoposition.dense import (
+    HeightField,
+    Tally,
+    View,
+    coarse_surface,
+    dense_points,
+    level_field,
+    mutual_shifts_px,
+    shifted_models,
+    terrain_field,
+)
+from geoposition.ellipsoid import geodetic_to_ecef
+from geoposition.errors import ArgumentError, GeometryError, ProductError
+from geoposition.flags import has_result
+from geoposition.matching import ImageSource, MatchOptions, match_images, open_image
+from geoposition.observations import TiePoints
+from geoposition.product import Product
+from geoposition.rpc.model import RpcModel
+from geoposition.scripts.results import Progress
+from geoposition.scripts.tables import whole_file
+from geoposition.sensor_model import SensorModel
+from geoposition.surface import (
+    DsmGrid,
+    PointCloud,
+    Surface,
+    compare_surface,
+    is_geographic,
+    to_map,
+)
+from geoposition.terrain import RasterTerrain
+from geoposition.triangulate import triangulate
+
+_MATCHING: Final = {"tile_px": 384, "max_tiles": 12, "tile_features": 1500}
+"""Ties for the bias and the heights' range: some thousands are plenty."""
+_SWAPPED: Final = 3.0
+"""So many times smaller residuals, with and without the bias, are no accident."""
+_FIELD_STEP_PX: Final = 64.0
+_HEIGHT_MARGIN_M: Final = 20.0
+_HEIGHT_MARGIN_SHARE: Final = 0.25
+_EDGE_PX: Final = 64.0
+_EDGE_CELLS: Final = 16
+_DEGREE_M: Final = 111320.0
+_MOST_NODES: Final = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is asked of a run; `None` is left to it."""
+
+    output: Path
+    points: Path | None = None
+    resolution: float | None = None
+    crs: str | None = None
+    heights_m: tuple[float, float] | None = None
+    dem: Path | None = None
+    dem_geoid: Path | None = None
+    remove_bias: bool = False
+    fill: bool = False
+    reference: Path | None = None
+    geoid: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agreement:
+    """What ties say: the shifts that make the models agree, and the ties' ground points."""
+
+    shifts_px: FloatArray
+    residual_px: tuple[float, float]
+    first_px: FloatArray
+    geodetic: FloatArray
+
+
+def run(
+    products: Sequence[Product], images: Sequence[Path], request: Request, progress: Progress
+) -> dict[str, object]:
+    """Make the surface, and the point cloud if asked for; returns facts fit for JSON."""
+    begin = perf_counter()
+    if request.heights_m is not None and not request.heights_m[0] < request.heights_m[1]:
+        raise ArgumentError(f"--heights: low to high expected, got {request.heights_m}")
+    if request.crs is not None:
+        is_geographic(_crs_name(request.crs))
+    sources = _sources(products, images)
+    models = [product.model for product in products]
+    options = MatchOptions(heights_m=request.heights_m, **_MATCHING)
+    ties = match_images(sources, models, options, progress)
+    agreement = agree(models, ties)
+    _require_own_images(products, models, ties, agreement)
+    _require_reference(request, agreement)
+    matching = shifted_models(models, agreement.shifts_px)
+    views = [
+        View(source, mended if request.remove_bias else model, mended)
+        for source, model, mended in zip(sources, models, matching, strict=True)
+    ]
+    start = starting_field(views[0], agreement, request)
+    somewhere = np.median(agreement.first_px, axis=0)
+    coarse = coarse_surface(views, start, somewhere, progress=progress)
+    crs, resolution = _system(views[0], agreement, request)
+    low, high = _extent(views, coarse, crs)
+    edge = _EDGE_CELLS * resolution
+    grid = DsmGrid.around(crs, resolution, low - edge, high + edge)
+    matched = perf_counter()
+    facts = {
+        "products": [str(product.path) for product in products],
+        "ties": int(np.sum(ties.product == 0)),
+        "relative_bias_px": _biases(agreement, request.remove_bias),
+        "residual_px": dict(zip(("as_is", "bias_removed"), agreement.residual_px, strict=True)),
+    }
+    facts |= _written(views, coarse, grid, agreement, request, facts, progress)
+    facts["seconds"] = {
+        "ties_and_coarse": round(matched - begin, 2),
+        "dense_to_surface": round(perf_counter() - matched, 2),
+    }
+    return facts | {"output": str(request.output)}
+
+
+def agree(models: Sequence[SensorModel], ties: TiePoints) -> Agreement:
+    """Find the relative bias of the models and the ties' ground points without it."""
+    shifts = mutual_shifts_px(models, ties)
+    as_is = triangulate(models, ties)
+    mended = triangulate(shifted_models(models, shifts), ties)
+    good = has_result(mended.flag)
+    if not good.any():
+        raise GeometryError("dsm: no tie point of the images can be intersected")
+    medians = tuple(float(np.nanmedian(points.residual_px)) for points in (as_is, mended))
+    rows = ties.of_product(0)
+    _, mine, theirs = np.intersect1d(ties.ids[rows], mended.ids[good], return_indices=True)
+    return Agreement(
+        shifts,
+        (medians[0], medians[1]),
+        np.array(ties.image_px[rows[mine]]),
+        mended.geodetic[good][theirs],
+    )
+
+
+def _require_own_images(
+    products: Sequence[Product],
+    models: Sequence[SensorModel],
+    ties: TiePoints,
+    agreement: Agreement,
+) -> None:
+    """Refuse a pair whose images suit each other's models clearly better than their own."""
+    if len(models) != 2:
+        return
+    other = agree(models[::-1], ties).residual_px
+    if all(_SWAPPED * a < b for a, b in zip(other, agreement.residual_px, strict=True)):
+        raise GeometryError(
+            f"{products[0].path.name} and {products[1].path.name}: the images are swapped, each "
+            f"suits the other's model ({other[0]:.1f} px apart instead of "
+            f"{agreement.residual_px[0]:.1f})"
+        )
+
+
+def _require_reference(request: Request, agreement: Agreement) -> None:
+    """Refuse a reference that lies elsewhere before the long work begins."""
+    if request.reference is not None:
+        found = RasterTerrain(request.reference, request.geoid).height_at(agreement.geodetic)
+        if not has_result(found.flag).any():
+            raise GeometryError(
+                f"{request.reference}: the reference has no heights where the images are"
+            )
+
+
+def starting_field(first: View, agreement: Agreement, request: Request) -> HeightField:
+    """Heights to start from, and how far from them the ground may lie."""
+    extent, heights = first.source.extent, agreement.geodetic[:, 2]
+    if request.heights_m is not None:
+        low, high = request.heights_m
+        middle = 0.5 * (low + high)
+        return level_field(extent, middle, _FIELD_STEP_PX).within(low - middle, high - middle)
+    if request.dem is not None:
+        terrain = RasterTerrain(request.dem, request.dem_geoid)
+        try:
+            field = terrain_field(first.matching, terrain, extent, _FIELD_STEP_PX)
+        except GeometryError as error:
+            raise GeometryError(f"{request.dem}: {error}") from None
+    else:
+        field = level_field(extent, float(np.median(heights)), _FIELD_STEP_PX)
+    beside = np.percentile(heights - field.at(agreement.first_px), [0.5, 99.5])
+    margin = max(_HEIGHT_MARGIN_M, _HEIGHT_MARGIN_SHARE * float(beside[1] - beside[0]))
+    return field.within(float(beside[0]) - margin, float(beside[1]) + margin)
+
+
+def _written(
+    views: Sequence[View],
+    coarse: HeightField,
+    grid: DsmGrid,
+    agreement: Agreement,
+    request: Request,
+    facts: dict[str, object],
+    progress: Progress,
+) -> dict[str, object]:
+    """Match all tiles, write the surface and the cloud: whole or not at all."""
+    tally = Tally()
+    degrees = is_geographic(grid.crs)
+    middle = np.median(agreement.geodetic, axis=0)
+    with ExitStack() as stack:
+        target = stack.enter_context(whole_file(request.output))
+        scratch = stack.enter_context(TemporaryDirectory(prefix=".dsm-", dir=request.output.parent))
+        surface = stack.enter_context(Surface(grid, scratch, float(middle[2])))
+        cloud_path = request.points and stack.enter_context(whole_file(request.points))
+        with ExitStack() as open_files:
+            cloud = None
+            if cloud_path:
+                origin = to_map(grid.crs, middle[None])[0]
+                cloud = open_files.enter_context(PointCloud(cloud_path, grid.crs, origin))
+            for points in dense_points(views, coarse, tally=tally, progress=progress):
+                place = to_map(grid.crs, points.geodetic, degrees)
+                surface.add(place, points.sigma_m)
+                if cloud is not None:
+                    cloud.add(place, points.sigma_m, points.grey, points.rays)
+        if surface.points == 0:
+            raise GeometryError("dsm: no pixel of the images could be matched")
+        surface.write(target, fill=request.fill, tags=_tags(facts))
+        comparison = None
+        if request.reference is not None:
+            comparison = compare_surface(target, request.reference, request.geoid).as_dict()
+    top, left, bottom, right = surface.bounds
+    return {
+        "crs": grid.crs,
+        "resolution": grid.resolution,
+        "shape": [bottom - top, right - left],
+        "points": surface.points,
+        "matched_share": tally.points / max(tally.tried, 1),
+        "pixels_tried": tally.tried,
+        "epipolar_residual_px": tally.epipolar_residual_px,
+        "disparities_px": float(np.median(tally.disparities)),
+        "points_file": None if request.points is None else str(request.points),
+        "comparison": comparison,
+    }
+
+
+def _sources(products: Sequence[Product], images: Sequence[Path]) -> list[ImageSource]:
+    if images and len(images) != len(products):
+        raise ArgumentError(f"--image: one for each of {len(products)} products expected")
+    return [_source(product, images[i] if images else None) for i, product in enumerate(products)]
+
+
+def _source(product: Product, path: Path | None) -> ImageSource:
+    path = path or product.image_path
+    if path is None:
+        raise ProductError(product.path, "", "no image lies beside it: name it with --image")
+    if path == product.path and isinstance(product.model, RpcModel):
+        # The RPC read from an image is in that image's own pixels, crop or not.
+        return open_image(path, first_pixel=(0, 0))
+    return open_image(path)
+
+
+def _biases(agreement: Agreement, removed: bool) -> list[dict[str, object]]:
+    return [
+        {"product": k, "row_col": shift.tolist(), "removed": removed}
+        for k, shift in enumerate(agreement.shifts_px)
+    ]
+
+
+def _tags(facts: dict[str, object]) -> dict[str, str]:
+    products = facts["products"]
+    assert isinstance(products, list)
+    return {
+        "PRODUCTS": ", ".join(Path(product).name for product in products),
+        "RELATIVE_BIAS_PX": str(facts["relative_bias_px"]),
+        "BANDS": "height; count of points; error: standard deviation from matching alone",
+    }
+
+
+def _crs_name(crs: str) -> str:
+    return f"EPSG:{crs}" if crs.isdecimal() else crs
+
+
+def _system(first: View, agreement: Agreement, request: Request) -> tuple[str, float]:
+    """Coordinate system and cell size: as asked, else the UTM zone and the image's own."""
+    middle = np.median(agreement.geodetic, axis=0)
+    crs = f"EPSG:{utm_epsg(middle[0], middle[1])}" if request.crs is None else request.crs
+    crs = _crs_name(crs)
+    if request.resolution is not None:
+        return crs, request.resolution
+    place = np.median(agreement.first_px, axis=0) + np.array([[0, 0], [1, 0], [0, 1]])
+    ground = geodetic_to_ecef(first.model.image_to_ground(place, middle[2]).geodetic)
+    sample_m = float(np.mean(np.linalg.norm(ground[1:] - ground[0], axis=1)))
+    return crs, float(f"{sample_m / (_DEGREE_M if is_geographic(crs) else 1.0):.2g}")
+
+
+def _extent(views: Sequence[View], coarse: HeightField, crs: str) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest map coordinates (2,) of the ground that several images show."""
+    nodes = coarse.node_px().reshape(-1, 2)
+    step = max(1, len(nodes) // _MOST_NODES)
+    nodes, height = nodes[::step], coarse.height_m.reshape(-1)[::step].astype(np.float64)
+    ranges = (float(np.percentile(coarse.low_m, 0.5)), float(np.percentile(coarse.high_m, 99.5)))
+    found = []
+    for off in (0.0, *ranges):
+        ground = views[0].matching.image_to_ground(nodes, height + off)
+        seen = np.zeros(len(nodes), dtype=np.bool_)
+        for view in views[1:]:
+            image, box = view.matching.ground_to_image(ground.geodetic), view.source.extent
+            low = np.array([box.line, box.sample]) - _EDGE_PX
+            high = low + (box.lines, box.samples) + 2.0 * _EDGE_PX
+            inside = np.all((image.image_px >= low) & (image.image_px <= high), axis=1)
+            seen |= has_result(image.flag) & inside
+        found.append(ground.geodetic[seen & has_result(ground.flag)])
+    place = to_map(crs, np.concatenate(found), is_geographic(crs))[:, :2]
+    if not np.isfinite(place).any():
+        raise GeometryError(f"dsm: the scene cannot be shown in {crs[:60]}")
+    return np.nanmin(place, axis=0), np.nanmax(place, axis=0)

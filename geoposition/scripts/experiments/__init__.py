@@ -1,0 +1,1 @@
+"""The seed documents' experiments: their tables, ours beside them, and the bound."""

@@ -1,0 +1,16 @@
+"""Surfaces and point clouds: points to files, and a surface against a reference."""
+
+from geoposition.surface.compare import Comparison, compare_surface
+from geoposition.surface.dsm import DsmGrid, Surface, is_geographic
+from geoposition.surface.map_points import to_map
+from geoposition.surface.point_cloud import PointCloud
+
+__all__ = [
+    "Comparison",
+    "DsmGrid",
+    "PointCloud",
+    "Surface",
+    "compare_surface",
+    "is_geographic",
+    "to_map",
+]
