@@ -29,7 +29,8 @@ NMAD_FACTOR: Final = 1.4826022185056018
 class AxisStatistics:
     """Errors along one axis, all in the errors' own unit; `std` about the mean (n − 1).
 
-    `minimum` and `maximum` are signed. `std` of a single error is NaN.
+    `minimum` and `maximum` are signed, `least` and `most` the smallest and largest size.
+    `std` of a single error is NaN.
     """
 
     count: int
@@ -40,11 +41,13 @@ class AxisStatistics:
     maximum: float
     median: float
     nmad: float
+    least: float
+    most: float
 
     def as_dict(self) -> dict[str, float]:
         """Return the numbers by name."""
-        names = ("count", "mean", "std", "rmse", "minimum", "maximum", "median", "nmad")
-        return {name: getattr(self, name) for name in names}
+        names = ("count", "mean", "std", "rmse", "minimum", "maximum", "median", "nmad", "least")
+        return {name: getattr(self, name) for name in (*names, "most")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +80,45 @@ class PointStatistics:
         return axes | {name: getattr(self, name) for name in names}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Ellipsoids:
+    """Error ellipsoids of points (n), one standard deviation.
+
+    `semi_axis_m` (n, 3), longest first; `direction_enu` (n, 3, 3) their unit directions as
+    columns, east, north, up, each with up >= 0.
+    """
+
+    semi_axis_m: FloatArray
+    direction_enu: FloatArray
+
+    @property
+    def azimuth_deg(self) -> FloatArray:
+        """Azimuths (n, 3) of the axes from north over east, 0 .. 360."""
+        east, north = self.direction_enu[:, 0], self.direction_enu[:, 1]
+        return np.asarray(np.degrees(np.arctan2(east, north)) % 360.0)
+
+    @property
+    def elevation_deg(self) -> FloatArray:
+        """Elevations (n, 3) of the axes above the horizon, 0 .. 90."""
+        return np.asarray(np.degrees(np.arcsin(np.clip(self.direction_enu[:, 2], -1.0, 1.0))))
+
+
+def error_ellipsoids(covariance_enu_m2: ArrayLike) -> Ellipsoids:
+    """Axes of covariances (n, 3, 3); NaN where these are.
+
+    The ellipsoid that holds the share p of normal errors is larger by the root of the p-quantile
+    of chi-squared with three degrees of freedom: 2.50 for 90 %.
+    """
+    covariance = np.asarray(covariance_enu_m2, dtype=np.float64).reshape(-1, 3, 3)
+    known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
+    values, vectors = np.linalg.eigh(np.where(known[:, None, None], covariance, np.eye(3)))
+    axes = np.sqrt(np.maximum(values[:, ::-1], 0.0))
+    directions = vectors[:, :, ::-1]
+    directions = directions * np.where(directions[:, 2:] < 0.0, -1.0, 1.0)
+    axes[~known], directions[~known] = np.nan, np.nan
+    return Ellipsoids(axes, directions)
+
+
 def axis_statistics(errors: ArrayLike) -> AxisStatistics:
     """Statistics of `errors` (n,), those that are NaN left out; none left is an `ArgumentError`."""
     values = np.asarray(errors, dtype=np.float64).ravel()
@@ -93,6 +135,8 @@ def axis_statistics(errors: ArrayLike) -> AxisStatistics:
         maximum=float(np.max(values)),
         median=median,
         nmad=NMAD_FACTOR * float(np.median(np.abs(values - median))),
+        least=float(np.min(np.abs(values))),
+        most=float(np.max(np.abs(values))),
     )
 
 

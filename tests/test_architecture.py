@@ -16,8 +16,12 @@ DOORS = {
     "pyproj": ("datum.py",),
     "erfa": ("frames.py", "leap_seconds.py"),
     "astropy_iers_data": ("earth_orientation.py",),
-    "cv2": ("matching/",),
-    "gtsam": (),
+    "cv2": ("matching/", "dense/sgm.py", "dense/filters.py"),
+    "laspy": ("surface/point_cloud.py",),
+    "gtsam": (
+        "adjust/factors.py",
+        "sensors/attitude_determination/factor_graph_engine.py",
+    ),
 }
 """Where a library may be imported, below the package; benchmarks and peers are free."""
 

@@ -4,7 +4,7 @@ from geoposition.reimage.mapping import RowMap, SourceMapping, map_models
 from geoposition.reimage.ortho import OrthoGrid, OrthoTask, ortho_window
 from geoposition.reimage.resample import METHODS, Method, Resampler
 from geoposition.reimage.steady import SteadyAttitude, SteadyOptions, steady_attitude, steady_model
-from geoposition.reimage.strips import Part, Strip, parts_of, strips
+from geoposition.reimage.strips import Part, Strip, displacement_px, parts_of, strips
 from geoposition.reimage.virtual import (
     Segment,
     VirtualCamera,
@@ -28,6 +28,7 @@ __all__ = [
     "Strip",
     "VirtualCamera",
     "cropped_model",
+    "displacement_px",
     "ideal_camera",
     "map_models",
     "ortho_window",

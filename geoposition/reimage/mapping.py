@@ -45,18 +45,15 @@ class RowMap:
     places: FloatArray
     error_px: float
 
-    @property
-    def columns(self) -> FloatArray:
-        """Columns (nodes,) of the nodes."""
-        return self.node_step * np.arange(self.places.shape[1], dtype=np.float64)
-
-    def displacement_px(self) -> FloatArray:
-        """Places less the target's own (line, sample), (rows, nodes, 2)."""
-        rows, nodes, _ = self.places.shape
-        own = np.empty((rows, nodes, 2))
-        own[..., 0] = (self.first_row + np.arange(rows))[:, None]
-        own[..., 1] = self.columns
-        return np.asarray(self.places - own)
+    def displacement_px(self, cols: FloatArray) -> FloatArray:
+        """Places less the target's own (line, sample), (rows, k, 2) at columns `cols` (k,)."""
+        at = np.clip(cols / self.node_step, 0.0, self.places.shape[1] - 1.0)
+        left = np.minimum(at.astype(np.int64), self.places.shape[1] - 2)
+        share = (at - left)[:, None]
+        moved = self.places[:, left] + share * (self.places[:, left + 1] - self.places[:, left])
+        moved[..., 0] -= (self.first_row + np.arange(len(moved)))[:, None]
+        moved[..., 1] -= cols
+        return np.asarray(moved)
 
     def source_lines(self) -> tuple[float, float] | None:
         """First and last line of the source that the rows point to; none if they do not."""

@@ -53,9 +53,7 @@ class OrthoGrid:
             raise ArgumentError(f"ortho: {self.shape} pixels: too few or too many")
 
     @classmethod
-    def around(
-        cls, model: SensorModel, terrain: Terrain, crs: str, resolution: float
-    ) -> OrthoGrid:
+    def around(cls, model: SensorModel, terrain: Terrain, crs: str, resolution: float) -> OrthoGrid:
         """Grid around what `model` sees of `terrain`, on whole multiples of the resolution."""
         if not resolution > 0.0:
             raise ArgumentError(f"ortho: a positive resolution expected, got {resolution}")
@@ -254,7 +252,9 @@ def _hidden(
     return hidden
 
 
-def block_means(values: NDArray[Any], valid: FlagArray, factor: int) -> tuple[FloatArray, FlagArray]:
+def block_means(
+    values: NDArray[Any], valid: FlagArray, factor: int
+) -> tuple[FloatArray, FlagArray]:
     """Means (bands, rows, cols) of the valid ones of `factor` x `factor` values, and if any."""
     bands, rows, cols = values.shape
     small = rows // factor, cols // factor

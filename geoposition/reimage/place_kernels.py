@@ -95,9 +95,7 @@ def resample_places(
                         out[row, col] = min(max(value, low32), high32) + half32
                         valid[row, col] = 1
             if not good:
-                found = careful_value(
-                    image, table, nodata, has_nodata, method, at_line, at_sample
-                )
+                found = careful_value(image, table, nodata, has_nodata, method, at_line, at_sample)
                 known = not math.isnan(found)
                 if method == NEAREST:
                     out[row, col] = found if known else fill

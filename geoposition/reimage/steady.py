@@ -221,7 +221,9 @@ class _Smooth:
         return values[0] if len(values) == 1 else np.stack(values, axis=-1)
 
 
-def _curve(rotation: Callable[[FloatArray], Rotation], first: float, last: float) -> RotationSplineCurve:
+def _curve(
+    rotation: Callable[[FloatArray], Rotation], first: float, last: float
+) -> RotationSplineCurve:
     """Spline through so many samples that between them it is right to `_TOLERANCE_RAD`."""
     count = 33
     while True:
@@ -232,4 +234,3 @@ def _curve(rotation: Callable[[FloatArray], Rotation], first: float, last: float
         if np.max(missed) <= _TOLERANCE_RAD or 2 * count > _MOST_KNOTS:
             return curve
         count = 2 * count - 1
-

@@ -153,10 +153,11 @@ def _strip(
     return Strip(start, pixels, np.concatenate([seen for _, seen in made], axis=1), maps)
 
 
-def mean_displacement_px(strip: Strip) -> FloatArray:
-    """Mean displacement (rows, 2) over the columns, (line, sample): jitter as the image has it."""
-    moved = np.concatenate([places.displacement_px()[:, :-1] for places in strip.maps], axis=1)
-    known = np.isfinite(moved)
-    count = known.sum(axis=1)
-    total = np.where(known, moved, 0.0).sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+def displacement_px(parts: Sequence[Part], strip: Strip, cols: FloatArray) -> FloatArray:
+    """Where each row's pixels come from, less their own place: (rows, k, 2) at `cols` (k,)."""
+    out = np.empty((strip.valid.shape[0], len(cols), 2))
+    for part, places in zip(parts, strip.maps, strict=True):
+        here = (cols >= part.first_col) & (cols < part.end_col)
+        out[:, here] = places.displacement_px(cols[here])
+        out[:, here, 1] += part.first_sample
+    return out

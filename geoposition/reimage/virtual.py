@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -71,7 +72,8 @@ class VirtualCamera:
     @property
     def timing(self) -> LineTiming:
         """Line to time."""
-        return ShiftedTiming(self.base.timing, self.first_line) if self.first_line else self.base.timing
+        timing = self.base.timing
+        return ShiftedTiming(timing, self.first_line) if self.first_line else timing
 
     @property
     def detectors(self) -> tuple[Detector, ...]:
@@ -187,6 +189,4 @@ def _segments(spans: FloatArray, samples: int) -> tuple[Segment, ...]:
     col = np.arange(samples)[:, None]
     best = np.argmax(np.minimum(col - spans[:, 0], spans[:, 1] - col), axis=1)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(best)) + 1, [samples]])
-    return tuple(
-        Segment(int(best[a]), int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)
-    )
+    return tuple(Segment(int(best[a]), int(a), int(b)) for a, b in pairwise(edges))

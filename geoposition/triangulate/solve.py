@@ -256,8 +256,9 @@ def solve_part(scene: Scene, part: Part) -> PartResult:
     ray_flag = np.empty(rows_of_part, dtype=np.uint8)
     height = _first_heights(scene, part)
     systematic_px2 = _systematic(scene, part, height)
+    noisy = part
     if systematic_px2 is not None:
-        part = with_errors(part, systematic_px2)
+        part = with_errors(noisy, systematic_px2)
     todo = np.arange(n)
     for _ in range(1 + MORE_RAYS):
         some, rows = part.of_points(todo)
@@ -283,6 +284,11 @@ def solve_part(scene: Scene, part: Part) -> PartResult:
         todo = todo[moved]
         if len(todo) == 0:
             break
+    if systematic_px2 is not None:
+        # Once more, at the heights found.
+        systematic_px2 = _systematic(scene, part, height)
+        assert systematic_px2 is not None
+        part = with_errors(noisy, systematic_px2)
     out.image_residual_px[:] = _least_residuals(
         scene, part, height, out.geodetic, out.flag, ray_flag
     )

@@ -31,19 +31,55 @@ def command(
         float | None,
         typer.Option(help="Standard deviation of image points, px; from their scatter."),
     ] = None,
+    attitude_sigma: Annotated[
+        float | None,
+        typer.Option(help="Of the attitude about each axis, arcsec; from the product, or none."),
+    ] = None,
+    orbit_sigma: Annotated[
+        float | None,
+        typer.Option(help="Of the satellite's place along each axis, m; from the product, or none."),
+    ] = None,
+    rpc_sigma: Annotated[
+        float | None,
+        typer.Option(help="Of an RPC, px; from its errBias, or none."),
+    ] = None,
+    image_noise_only: Annotated[
+        bool, typer.Option("--image-noise-only", help="Leave the models' own errors out.")
+    ] = False,
+    min_convergence: Annotated[
+        float, typer.Option(help="Rays that converge by less, degrees, give no point.")
+    ] = 0.0573,
+    remove_bias: Annotated[
+        bool, typer.Option("--remove-bias", help="Take the relative bias out of the models.")
+    ] = False,
+    reference: Annotated[
+        Path | None, typer.Option(help="DEM or DSM to compare the points' heights with.")
+    ] = None,
+    geoid: Annotated[
+        Path | None, typer.Option(help="Geoid grid that makes its heights ellipsoidal.")
+    ] = None,
+    covariance: Annotated[
+        bool, typer.Option("--covariance", help="Add covariances and error ellipsoids.")
+    ] = False,
+    report: Annotated[Path | None, typer.Option(help="Report to write: .html.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Intersect lines of sight of the same ground points (forward intersection).
 
-    Writes id,lon,lat,height,sigma_e,sigma_n,sigma_u,residual_px,rays,flag. The ties come from a
-    table, where `product` is the product's name or its place on the command line counted from
-    0, or from matching the images. Ground control only checks the points.
+    Writes id,lon,lat,height,sigma_e,sigma_n,sigma_u,residual_px,rays,flag and more. The ties come
+    from a table, where `product` is the product's name or its place on the command line counted
+    from 0, or from matching the images. Ground control only checks the points. The sigmas hold
+    the image points' noise and, where product or user state them, the models' own errors, which
+    neighbouring points share. The images' relative bias is always found and reported; with
+    --remove-bias all images follow the first: an RPC by a shift, a rigorous model by a constant
+    turn of its attitude. Of three rays or more a wrong one is found and left out.
 
-    Example: geoposition intersect left.tif right.tif --match -o points.gpkg
+    Example: geoposition intersect left.tif right.tif --match -o points.gpkg --report stereo.html
     """
     from geoposition.errors import ArgumentError
-    from geoposition.scripts import stereo_run
+    from geoposition.scripts import stereo_report, stereo_run
     from geoposition.scripts.results import print_facts, print_json, progress_bar
+    from geoposition.scripts.stereo_errors import StatedSigmas
     from geoposition.scripts.tables import check_output
     from geoposition.scripts.tie_tables import read_checks, read_ties
     from geoposition.sensors.readers import open_product
@@ -55,7 +91,17 @@ def command(
     if image and not match:
         raise ArgumentError("--image: for --match only")
     check_output(output, stereo_run.SUFFIXES)
-    checks = None if gcps is None else read_checks(gcps)
+    if report is not None:
+        check_output(report, (".html", ".htm"))
+    options = stereo_run.Options(
+        sigma_px=sigma,
+        min_convergence_deg=min_convergence,
+        stated=StatedSigmas(attitude_sigma, orbit_sigma, rpc_sigma, image_noise_only),
+        remove_bias=remove_bias,
+        checks=None if gcps is None else read_checks(gcps),
+        reference=reference,
+        geoid=geoid,
+    )
     opened = [open_product(product) for product in products]
     with progress_bar("matching" if match else "intersecting", json) as progress:
         if ties is not None:
@@ -63,9 +109,15 @@ def command(
         else:
             found_ties = stereo_run.match_products(opened, image or [], progress)
     with progress_bar("intersecting", json) as progress:
-        run = stereo_run.intersect(opened, found_ties, sigma, checks, progress)
-    stereo_run.write(output, run)
+        run = stereo_run.intersect(opened, found_ties, options, progress)
+    source = "images matched" if ties is None else str(ties)
+    page = None if report is None else stereo_report.page(run, options, source)
+    stereo_run.write(output, run, covariance)
+    facts = run.summary | {"output": str(output)}
+    if report is not None and page is not None:
+        stereo_report.write(report, page)
+        facts["report"] = str(report)
     if json:
-        print_json(run.summary | {"output": str(output)})
+        print_json(facts)
     else:
-        print_facts(str(output), run.summary)
+        print_facts(str(output), facts)

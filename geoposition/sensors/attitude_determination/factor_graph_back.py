@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from geoposition.arrays import FloatArray, IntArray
 from geoposition.sensors.attitude_determination.factor_graph_chain import Eliminated
+from geoposition.sensors.attitude_determination.threads import in_chunks
 
 
 def interior_means(done: Eliminated, means: FloatArray, constants: FloatArray) -> FloatArray:
@@ -21,7 +22,15 @@ def pair_covariances(done: Eliminated, joint: FloatArray) -> FloatArray:
     """Covariance (k − 1, n, n) of (x_i, x_{i+1}, c), from `joint` (s, n, n) of (x_b, x_a, c)."""
     n = joint.shape[1]
     pairs = np.empty((len(done.offset) - 1, n, n))
-    _pair_covariances(done.bounds, done.gain, done.covariance, joint, pairs)
+    in_chunks(
+        _pair_covariances,
+        len(joint),
+        done.bounds,
+        done.gain,
+        done.covariance,
+        joint,
+        pairs,
+    )
     return pairs
 
 
@@ -66,10 +75,13 @@ def _pair_segment(
                 for k in range(n):
                     s -= K[r, k] * known[k, c]
                 cross[r, c] = s
-        pair[6:12, 6:12] = known[:6, :6]
-        pair[6:12, 12:] = known[:6, 12:]
-        pair[12:, 6:12] = known[12:, :6]
-        pair[12:, 12:] = known[12:, 12:]
+        # Loops, not slices: those compile ten times as long.
+        for r in range(n):
+            at = r + 6 if r < 6 else r
+            for c in range(n):
+                to = c + 6 if c < 6 else c
+                if not (6 <= r < 12 or 6 <= c < 12):
+                    pair[at, to] = known[r, c]
         for r in range(6):
             for c in range(6):
                 pair[r, 6 + c] = cross[r, c]
@@ -96,15 +108,17 @@ def _pair_segment(
             pair[at, 6 + c if c < 6 else (c - 6 if c < 12 else c)] = known[r, c]
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _pair_covariances(
+    low: int,
+    high: int,
     bounds: IntArray,
     gain: FloatArray,
     covariance: FloatArray,
     joint: FloatArray,
     pairs: FloatArray,
 ) -> None:
-    for segment in prange(len(bounds) - 1):
+    for segment in range(low, high):
         _pair_segment(
             segment,
             bounds,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from geoposition.arrays import BoolArray, FloatArray, IntArray
 from geoposition.rotation import quat_multiply
@@ -248,8 +248,10 @@ def _densify_link(
         j += 1
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def densify_links(
+    low: int,
+    high: int,
     token: tuple[int, ...],
     angle: FloatArray,
     step: FloatArray,
@@ -274,7 +276,7 @@ def densify_links(
     last: FloatArray,
 ) -> None:
     """Fill estimates, covariance and lag-one covariance within links; T of their outer epochs."""
-    for i in prange(len(pairs)):
+    for i in range(low, high):
         _densify_link(
             i,
             token,

@@ -14,9 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from geoposition.arrays import FloatArray, IntArray
+from geoposition.sensors.attitude_determination.threads import in_chunks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +70,9 @@ def eliminate(chain: LinearChain, bounds: IntArray) -> Eliminated:
         np.zeros((k, 6)),
         np.zeros((k, 6, 6)),
     )
-    _eliminate(
+    in_chunks(
+        _eliminate,
+        segments,
         chain.phi,
         chain.psi,
         chain.weight,
@@ -211,8 +214,10 @@ def _eliminate_segment(
                 front[at, c if c < 3 else c + 9] += star_H[i + 1, r, c]
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _eliminate(
+    low: int,
+    high: int,
     phi: FloatArray,
     psi: FloatArray,
     weight: FloatArray,
@@ -226,7 +231,7 @@ def _eliminate(
     offset: FloatArray,
     covariance: FloatArray,
 ) -> None:
-    for segment in prange(len(bounds) - 1):
+    for segment in range(low, high):
         _eliminate_segment(
             segment,
             phi,

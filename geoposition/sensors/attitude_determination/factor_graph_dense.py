@@ -22,6 +22,7 @@ from geoposition.sensors.attitude_determination.factor_graph_bridge import (
     densify_links,
 )
 from geoposition.sensors.attitude_determination.preintegration import FIFTEEN, SIX, Links
+from geoposition.sensors.attitude_determination.threads import in_chunks
 from geoposition.sensors.attitude_determination.timeline import Timeline
 
 
@@ -68,7 +69,9 @@ def densify(
         np.zeros((size - 1, 3, 3)),
     )
     first, last = np.zeros((links_n, 3, n)), np.zeros((links_n, 3, n))
-    densify_links(
+    in_chunks(
+        densify_links,
+        links_n,
         token,
         timeline.turn_rad,
         timeline.step_s,
@@ -114,7 +117,7 @@ def _lag_across(
     """Lag-one covariance of neighbours with knots between them, carried from knot to knot."""
     n, links = pairs.shape[1], len(pairs)
     m = n - 6
-    carried = np.empty((m, 3))
+    carried, moved = np.empty((m, 3)), np.empty((6, 3))
     for right in range(1, links):
         j = inside[right]
         if inside[right + 1] == j and right < links - 1:
@@ -131,8 +134,15 @@ def _lag_across(
                 carried[r, c] = s
         left = right - 1
         while inside[left + 1] == inside[left]:
-            moved = regress[left] @ carried
-            carried[:6] = moved
+            for r in range(6):
+                for c in range(3):
+                    s = 0.0
+                    for k in range(m):
+                        s += regress[left, r, k] * carried[k, c]
+                    moved[r, c] = s
+            for r in range(6):
+                for c in range(3):
+                    carried[r, c] = moved[r, c]
             left -= 1
         for r in range(3):
             for c in range(3):

@@ -25,12 +25,18 @@ from geoposition.sensors.attitude_determination.gyro_intervals import (
     intervals_of_head,
 )
 from geoposition.sensors.attitude_determination.gyro_messages import messages
-from geoposition.sensors.attitude_determination.gyro_samples import GyroFlag, suspicious_samples
+from geoposition.sensors.attitude_determination.gyro_samples import (
+    GyroFlag,
+    excess_turn_rad,
+    suspicious_samples,
+)
 from geoposition.sensors.telemetry import GyroSeries, Mounting, StarSeries
 
 _ARCSEC_RAD: Final = np.pi / 648000.0
 _LAG_PASSES: Final = 3
 _SURE: Final = 3.0
+_EXPLAINED: Final = 0.3
+"""Spikes that leave less of an interval's disagreement are all that is wrong in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +197,7 @@ def _fitted(
 def _blame(parts: list[Intervals], fit: GyroFit, gyro: GyroSeries) -> tuple[FlagArray, IntArray]:
     """Star samples that spoil both their intervals; gyro samples in the other bad intervals."""
     flags = suspicious_samples(gyro)
+    excess = excess_turn_rad(gyro)
     blamed = []
     for part, residual, bad in zip(parts, fit.residuals_rad, fit.suspicious, strict=True):
         both = np.flatnonzero(part.chained & bad[1:] & bad[:-1])
@@ -201,9 +208,10 @@ def _blame(parts: list[Intervals], fit: GyroFit, gyro: GyroSeries) -> tuple[Flag
         blamed.append(part.last[both[opposed]])
         for k in np.flatnonzero(bad & ~by_star):
             inside = (gyro.times_s >= part.start_s[k]) & (gyro.times_s <= part.end_s[k])
-            culprits = inside & (flags != GyroFlag.OK)
-            if not np.any(culprits):
-                flags[inside] = GyroFlag.DISAGREES
+            spikes = excess[inside & (flags == GyroFlag.SPIKE)].sum(axis=0)
+            left = np.linalg.norm(residual[k] + spikes) / np.linalg.norm(residual[k])
+            if left > _EXPLAINED and not np.any(flags[inside] == GyroFlag.STUCK):
+                flags[inside & (flags == GyroFlag.OK)] = GyroFlag.DISAGREES
     flags.setflags(write=False)
     return flags, np.unique(np.concatenate(blamed)).astype(np.int64)
 

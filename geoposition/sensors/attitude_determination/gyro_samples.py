@@ -31,14 +31,27 @@ class GyroFlag(IntEnum):
 def suspicious_samples(gyro: GyroSeries) -> FlagArray:
     """`GyroFlag` of each sample (n,), from the gyro alone."""
     flags = np.zeros(len(gyro), dtype=np.uint8)
+    values = _rates(gyro)
+    flags[_spikes(values)] = GyroFlag.SPIKE
+    flags[_stuck(values)] = GyroFlag.STUCK
+    return flags
+
+
+def excess_turn_rad(gyro: GyroSeries) -> FloatArray:
+    """Angle (n, 3) by which each sample turns the body more than the mean of its neighbours."""
+    values = _rates(gyro)
+    excess = np.zeros_like(values)
+    span = 0.5 * (gyro.times_s[2:] - gyro.times_s[:-2])
+    excess[1:-1] = (values[1:-1] - 0.5 * (values[:-2] + values[2:])) * span[:, None]
+    return excess
+
+
+def _rates(gyro: GyroSeries) -> FloatArray:
     values = np.array(gyro.values)
     if gyro.kind == "increment":
-        steps = np.diff(gyro.times_s)
-        values[1:] /= steps[:, None]
+        values[1:] /= np.diff(gyro.times_s)[:, None]
         values[0] = values[1]
-    flags[_stuck(values)] = GyroFlag.STUCK
-    flags[_spikes(values)] = GyroFlag.SPIKE
-    return flags
+    return values
 
 
 def _spikes(values: FloatArray) -> BoolArray:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from geoposition.arrays import FloatArray, read_only
@@ -147,7 +148,8 @@ def jitter_from_attitude(
 def jitter_from_gyro(gyro: GyroSeries, settings: JitterSettings | None = None) -> Jitter:
     """Jitter of gyro rates or angular-displacement increments about the body's axes.
 
-    The angles are the high-passed rates, summed. *Source*: T 2.4, P 3 1).
+    The angles are the high-passed rates, integrated; the spectrum is that of the measured
+    quantity, carried over to angles. *Source*: T 2.4, P 3 1).
     """
     times = gyro.times_s
     steps = np.diff(times)[:, None]
@@ -158,10 +160,10 @@ def jitter_from_gyro(gyro: GyroSeries, settings: JitterSettings | None = None) -
         times = times[1:]
     search = _Search.over(times, settings or JitterSettings())
     detrended = values - low_pass(times, values, search.low_cut_hz)
-    increments = 0.5 * (detrended[1:] + detrended[:-1]) * steps[-len(detrended) + 1 :]
-    if gyro.kind != "rate":
-        increments = detrended[1:] * steps[1:]
-    angles = np.concatenate([np.zeros((1, 3)), np.cumsum(increments, axis=0)])
+    if gyro.kind == "rate":
+        angles = CubicSpline(times, detrended).antiderivative()(times)
+    else:
+        angles = np.cumsum(detrended * steps, axis=0)
     return search.result(
         times, detrended, angles - angles.mean(axis=0), _Transfer(gyro.kind, float(np.mean(steps)))
     )
@@ -174,13 +176,13 @@ class _Transfer:
     kind: GyroKind | str
     step_s: float
 
-    def gain(self, frequency_hz: float) -> float:
+    def gain(self, frequency_hz: FloatArray) -> FloatArray:
         omega = 2.0 * np.pi * frequency_hz
         if self.kind == "angle":
-            return 1.0
+            return np.ones_like(omega)
         if self.kind == "rate":
             return omega
-        return float(2.0 * np.sin(0.5 * omega * self.step_s) / self.step_s)
+        return np.asarray(2.0 * np.sin(0.5 * omega * self.step_s) / self.step_s)
 
     def phase_rad(self, frequency_hz: float) -> float:
         if self.kind == "angle":
@@ -228,12 +230,15 @@ class _Search:
         # The work is in NumPy and the FFT, which let other threads run.
         with ThreadPoolExecutor(len(AXES)) as pool:
             found = list(pool.map(lines, range(len(AXES))))
-        drawn = spectrum(times, angles, segments=self.settings.segments, highest_hz=self.highest_hz)
+        drawn = spectrum(
+            times, measured, segments=self.settings.segments, highest_hz=self.highest_hz
+        )
+        density = drawn.density / transfer.gain(drawn.frequency_hz)[:, None] ** 2
         return Jitter(
             dict(zip(AXES, found, strict=True)),
             read_only(times),
             read_only(angles),
-            drawn,
+            replace(drawn, density=read_only(density)),
             float(times[0]),
             self.low_cut_hz,
             self.highest_hz,
@@ -242,7 +247,7 @@ class _Search:
     def _peak(self, line: Line, transfer: _Transfer) -> JitterPeak:
         frequency = line.frequency_hz
         kept = 1.0 - float(low_pass_gain(frequency, self.low_cut_hz))
-        gain = transfer.gain(frequency) * kept
+        gain = float(transfer.gain(np.array(frequency))) * kept
         phase = line.phase_rad - transfer.phase_rad(frequency)
         return JitterPeak(
             frequency,

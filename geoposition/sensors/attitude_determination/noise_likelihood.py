@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from geoposition.arrays import BoolArray, FloatArray, IntArray
 from geoposition.rotation import quat_multiply
@@ -23,6 +23,7 @@ from geoposition.sensors.attitude_determination.propagation import (
     turn_of_quat,
 )
 from geoposition.sensors.attitude_determination.settings import FusionSettings
+from geoposition.sensors.attitude_determination.threads import in_chunks
 from geoposition.sensors.attitude_determination.timeline import Timeline
 from geoposition.sensors.telemetry import Mounting, StarSeries
 
@@ -102,7 +103,9 @@ def minus_log_likelihood(
     """
     shape = (len(trials), len(data.knot))
     shares, squared = np.zeros(shape), np.full(shape, np.nan)
-    _likelihood(
+    in_chunks(
+        _likelihood,
+        len(trials),
         data.token,
         data.reference,
         data.prior,
@@ -242,8 +245,10 @@ def _trial(
         qx, qy, qz, qw = quat_multiply(qx, qy, qz, qw, a, b, c_, d)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _likelihood(
+    low: int,
+    high: int,
     token: tuple[int, ...],
     reference: FloatArray,
     prior: FloatArray,
@@ -262,7 +267,7 @@ def _likelihood(
     shares: FloatArray,
     squared: FloatArray,
 ) -> None:
-    for i in prange(len(trials)):
+    for i in range(low, high):
         _trial(
             token,
             reference,

@@ -3,8 +3,9 @@
 A sample is believed if any window that describes its surroundings well agrees with it: at the
 start of a slew the windows before and after it disagree, and one of them is right. Where short
 windows find no majority (a burst of blunders) longer ones decide; where none describes the motion
-(violent jitter) the local scatter is the measure. What is believed by short windows alone, yet
-leaves and returns in jumps that no satellite makes, is a burst after all.
+(violent jitter) the local scatter is the measure, and what follows smoothly from its neighbours
+stays. What short windows alone believe, yet leaves and returns in jumps that no satellite makes,
+is a burst after all.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from geoposition.arrays import BoolArray, FloatArray, IntArray, read_only
 from geoposition.errors import ArgumentError
+from geoposition.sensors.attitude_determination.continuity import runs, smooth_runs
 from geoposition.sensors.attitude_determination.ransac import WindowFits, fit_windows
 
 _LENGTHS: Final = (21, 63, 189)
@@ -183,6 +185,7 @@ def _judge(
         local = np.maximum(fits[0].scale[window], usual)
         np.minimum.at(nearest, sample, fits[0].residual.ravel() / local)
         outlier[~decided] = nearest[~decided] > settings.threshold_sigma
+    outlier &= ~smooth_runs(times, quat, outlier, usual * noise, settings.threshold_sigma)
     if len(fits) > 1:
         suspect = levels[1][0] & levels[1][1] & ~outlier
         outlier |= _detached(fits[1], times, quat, suspect, usual * noise, settings)
@@ -199,8 +202,7 @@ def _detached(
 ) -> BoolArray:
     """Find runs of suspects, shorter than half a window, that leave and return in jumps."""
     detached = np.zeros(len(times), dtype=bool)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], suspect.astype(np.int8), [0]])))
-    starts, ends = edges[::2], edges[1::2]
+    starts, ends = runs(suspect)
     # A run at either end of the series has but one side: it may be motion.
     inner = (ends - starts <= fits.length // 2) & (starts > 0) & (ends < len(times))
     if not np.any(inner):

@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from geoposition.arrays import FloatArray, IntArray
 from geoposition.rotation import quat_multiply
@@ -28,6 +28,7 @@ from geoposition.sensors.attitude_determination.propagation import (
     times_matrix,
     transition,
 )
+from geoposition.sensors.attitude_determination.threads import in_chunks
 from geoposition.sensors.attitude_determination.timeline import Timeline
 
 SIX = (0,) * 6
@@ -74,7 +75,9 @@ def preintegrate(
         np.empty((n, 3, 3)),
         np.empty(n),
     )
-    _preintegrate(
+    in_chunks(
+        _preintegrate,
+        n,
         token,
         timeline.turn_rad,
         timeline.step_s,
@@ -232,8 +235,10 @@ def _preintegrate_link(
     qbb[i] = total
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _preintegrate(
+    low: int,
+    high: int,
     token: tuple[int, ...],
     angle: FloatArray,
     step: FloatArray,
@@ -250,7 +255,7 @@ def _preintegrate(
     Qab: FloatArray,
     qbb: FloatArray,
 ) -> None:
-    for i in prange(len(first) - 1):
+    for i in range(low, high):
         _preintegrate_link(
             i,
             token,

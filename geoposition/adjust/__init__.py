@@ -1,0 +1,46 @@
+"""Adjustment of image geometry: attitude biases and their kin from control and tie points."""
+
+from geoposition.adjust.adjustment import (
+    Adjustment,
+    PointResults,
+    Rejection,
+    Status,
+    WeakCombination,
+)
+from geoposition.adjust.attitude_prior import attitude_process
+from geoposition.adjust.control import HeightControl, selected_control, split_control
+from geoposition.adjust.robust import RobustOptions
+from geoposition.adjust.run import adjust, adjusted_models
+from geoposition.adjust.unknowns import (
+    Block,
+    attitude_bias,
+    attitude_spline,
+    image_bias,
+    look_angles,
+    mounting,
+    orbit,
+    time_offset,
+)
+
+__all__ = [
+    "Adjustment",
+    "Block",
+    "HeightControl",
+    "PointResults",
+    "Rejection",
+    "RobustOptions",
+    "Status",
+    "WeakCombination",
+    "adjust",
+    "adjusted_models",
+    "attitude_bias",
+    "attitude_process",
+    "attitude_spline",
+    "image_bias",
+    "look_angles",
+    "mounting",
+    "orbit",
+    "selected_control",
+    "split_control",
+    "time_offset",
+]

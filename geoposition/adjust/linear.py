@@ -1,0 +1,178 @@
+"""The observation equations of groups of points, linearised, their points eliminated.
+
+In units of the prior: the unknowns are z with theta = S z, S Sᵀ the prior covariance, and every
+row has unit noise. A group's null-space rows are A (n, q, p) and r (n, q) with the cost
+|A (z − z0) + r|² per point, whatever the point itself does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from geoposition.adjust.point_sets import Group, PointSet
+from geoposition.adjust.residual_kernels import eliminate
+from geoposition.adjust.residuals import ImageEquations
+from geoposition.adjust.sights import Sights
+from geoposition.arrays import FloatArray, IntArray
+from geoposition.ellipsoid import ecef_to_geodetic, enu_axes
+
+_CHUNK: Final = 8192
+_WEAK: Final = 1e-4
+"""Smallest over largest diagonal of a point's triangle below which it is not determined."""
+FIXED_HEIGHT_SIGMA_M: Final = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linear:
+    """Null-space rows of a group at z0, and what gives its points back.
+
+    `columns` (p) among all unknowns; `A` (n, q, p), `r` (n, q); `strong` (n) tells whether the
+    point is determined. `triangle` (n, 3, 3), `top` (n, 3, p) and `top_r` (n, 3): the point moves
+    by triangle⁻¹ (top (z − z0) + top_r), metres ECEF.
+    """
+
+    group: Group
+    columns: IntArray
+    A: FloatArray
+    r: FloatArray
+    strong: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    triangle: FloatArray
+    top: FloatArray
+    top_r: FloatArray
+
+    def step_m(self, dz: FloatArray) -> FloatArray:
+        """Movement (n, 3) of the points when all unknowns move by `dz`."""
+        right = self.top @ dz[self.columns] + self.top_r
+        safe = np.where(self.strong[:, None, None], self.triangle, np.eye(3))
+        solved: FloatArray = np.linalg.solve(safe, right[..., None])[..., 0]
+        return np.where(self.strong[:, None], solved, 0.0)
+
+    def point_covariance(self, covariance: FloatArray) -> FloatArray:
+        """Covariance (n, 3, 3), ECEF, of points whose own noise is not in `covariance` of z."""
+        safe = np.where(self.strong[:, None, None], self.triangle, np.eye(3))
+        inverse = np.linalg.inv(safe)
+        by_unknown = inverse @ self.top
+        some = covariance[np.ix_(self.columns, self.columns)]
+        result: FloatArray = inverse @ inverse.transpose(0, 2, 1)
+        result = result + by_unknown @ some @ by_unknown.transpose(0, 2, 1)
+        return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Equations:
+    """All images' equations and the prior's root S, block by block."""
+
+    images: tuple[ImageEquations, ...]
+    S: FloatArray
+
+    def theta(self, z: FloatArray) -> FloatArray:
+        """Unknowns in their own units."""
+        return np.asarray(self.S @ z, dtype=np.float64)
+
+
+def group_columns(equations: Equations, group: Group) -> tuple[IntArray, list[IntArray]]:
+    """Unknowns of the group's images, and the places of each image's among them."""
+    each = [equations.images[i].columns for i in group.images]
+    columns = np.unique(np.concatenate(each)) if each else np.empty(0, dtype=np.int64)
+    return columns, [np.searchsorted(columns, own) for own in each]
+
+
+def whitened_rows(
+    equations: Equations,
+    points: PointSet,
+    group: Group,
+    part: slice,
+    theta: FloatArray,
+    known: bool,
+) -> FloatArray:
+    """Rows (n, 2 m + k, 3 + p + 1): by the point, by the unknowns (theta), and the residual."""
+    columns, places = group_columns(equations, group)
+    which, rows = group.points[part], group.rows[part]
+    n, m = rows.shape
+    fixed = not known and m == 1
+    k = points.known_root.shape[1] if known else int(fixed)
+    work = np.zeros((n, 2 * m + max(k, 3 - 2 * m), 3 + len(columns) + 1))
+    ground = points.ecef_m[which]
+    for a, image in enumerate(group.images):
+        some = _taken(points.sights, rows[:, a])
+        residual, by_ground, jacobian = equations.images[image].evaluate(some, ground, theta)
+        root = points.root[rows[:, a]]
+        two = slice(2 * a, 2 * a + 2)
+        work[:, two, :3] = root @ by_ground
+        work[:, two, 3 + places[a]] = root @ jacobian
+        work[:, two, -1] = (root @ residual[..., None])[..., 0]
+    if known and k:
+        root = points.known_root[which]
+        work[:, 2 * m : 2 * m + k, :3] = root
+        off = points.known_ecef_m[which] - ground
+        work[:, 2 * m : 2 * m + k, -1] = (root @ off[..., None])[..., 0]
+    elif fixed:
+        up = enu_axes(ecef_to_geodetic(points.known_ecef_m[which]))[:, :, 2]
+        work[:, 2 * m, :3] = up / FIXED_HEIGHT_SIGMA_M
+        off = np.sum(up * (points.known_ecef_m[which] - ground), axis=1)
+        work[:, 2 * m, -1] = off / FIXED_HEIGHT_SIGMA_M
+    return work
+
+
+def linearise(
+    equations: Equations,
+    points: PointSet,
+    group: Group,
+    z: FloatArray,
+    *,
+    known: bool = True,
+) -> Linear:
+    """Equations of `group` at `z`. Without `known`, what is known of the points is not used,
+    but a point in one image keeps its height.
+    """
+    columns, _ = group_columns(equations, group)
+    theta = equations.theta(z)
+    n, p = len(group.points), len(columns)
+    S = equations.S[np.ix_(columns, columns)]
+    parts: list[FloatArray] = []
+    for low in range(0, n, _CHUNK):
+        part = slice(low, min(low + _CHUNK, n))
+        work = whitened_rows(equations, points, group, part, theta, known)
+        eliminate(work)
+        parts.append(work)
+    work = parts[0] if len(parts) == 1 else np.concatenate(parts)
+    diagonal = np.abs(work[:, [0, 1, 2], [0, 1, 2]])
+    strong = diagonal.min(axis=1) > _WEAK * diagonal.max(axis=1)
+    return Linear(
+        group,
+        columns,
+        np.ascontiguousarray(work[:, 3:, 3 : 3 + p] @ S),
+        np.ascontiguousarray(work[:, 3:, -1]),
+        strong,
+        np.ascontiguousarray(work[:, :3, :3]),
+        work[:, :3, 3 : 3 + p] @ S,
+        np.ascontiguousarray(work[:, :3, -1]),
+    )
+
+
+def linearise_all(
+    equations: Equations,
+    sets: Sequence[tuple[PointSet, Sequence[Group]]],
+    z: FloatArray,
+    *,
+    known: bool = True,
+) -> list[list[Linear]]:
+    """Linearise each set's groups at `z`."""
+    return [
+        [linearise(equations, points, group, z, known=known) for group in several]
+        for points, several in sets
+    ]
+
+
+def _taken(sights: Sights, rows: IntArray) -> Sights:
+    return Sights(
+        sights.image_px[rows],
+        sights.origin_ecef_m[rows],
+        sights.direction_ecef[rows],
+        sights.scale[rows],
+        sights.flag[rows],
+    )
