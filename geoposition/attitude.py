@@ -56,65 +56,54 @@ def continuous_unit_quaternions(times_s: ArrayLike, quat_xyzw: ArrayLike) -> Flo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SlerpCurve:
-    """Spherical linear interpolation between samples."""
+class _SampledCurve:
+    """Rotations between samples at `times_s`."""
 
     times_s: FloatArray
-    slerp: Slerp
+    interpolant: Slerp | RotationSpline
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last sample time."""
+        return float(self.times_s[0]), float(self.times_s[-1])
+
+    @property
+    def knots_s(self) -> FloatArray:
+        """The sample times."""
+        return self.times_s
+
+    def rotation(self, times_s: FloatArray) -> Rotation:
+        """Rotations at `times_s` (n,)."""
+        return self.interpolant(within_span(times_s, self.span_s, "attitude"))
+
+
+def _samples(times_s: ArrayLike, quat_xyzw: ArrayLike) -> tuple[FloatArray, Rotation]:
+    quats = continuous_unit_quaternions(times_s, quat_xyzw)
+    if len(quats) < 2:
+        raise ArgumentError("attitude: at least 2 samples expected")
+    return read_only(times_s), Rotation.from_quat(quats)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlerpCurve(_SampledCurve):
+    """Spherical linear interpolation between samples."""
 
     @classmethod
     def through(cls, times_s: ArrayLike, quat_xyzw: ArrayLike) -> SlerpCurve:
         """Slerp through `quat_xyzw` (n, 4), n >= 2."""
-        quats = continuous_unit_quaternions(times_s, quat_xyzw)
-        times = read_only(times_s)
-        if len(times) < 2:
-            raise ArgumentError("attitude: at least 2 samples expected")
-        return cls(times, Slerp(times, Rotation.from_quat(quats)))
-
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """First and last sample time."""
-        return float(self.times_s[0]), float(self.times_s[-1])
-
-    @property
-    def knots_s(self) -> FloatArray:
-        """The sample times."""
-        return self.times_s
-
-    def rotation(self, times_s: FloatArray) -> Rotation:
-        """Rotations at `times_s` (n,)."""
-        return self.slerp(within_span(times_s, self.span_s, "attitude"))
+        times, rotations = _samples(times_s, quat_xyzw)
+        return cls(times, Slerp(times, rotations))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RotationSplineCurve:
+class RotationSplineCurve(_SampledCurve):
     """Cubic spline with continuous angular velocity and acceleration through samples."""
-
-    times_s: FloatArray
-    spline: RotationSpline
 
     @classmethod
     def through(cls, times_s: ArrayLike, quat_xyzw: ArrayLike) -> RotationSplineCurve:
         """Spline through `quat_xyzw` (n, 4), n >= 2."""
-        quats = continuous_unit_quaternions(times_s, quat_xyzw)
-        times = read_only(times_s)
-        if len(times) < 2:
-            raise ArgumentError("attitude: at least 2 samples expected")
-        return cls(times, RotationSpline(times, Rotation.from_quat(quats)))
-
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """First and last sample time."""
-        return float(self.times_s[0]), float(self.times_s[-1])
-
-    @property
-    def knots_s(self) -> FloatArray:
-        """The sample times."""
-        return self.times_s
-
-    def rotation(self, times_s: FloatArray) -> Rotation:
-        """Rotations at `times_s` (n,)."""
-        return self.spline(within_span(times_s, self.span_s, "attitude"))
+        times, rotations = _samples(times_s, quat_xyzw)
+        return cls(times, RotationSpline(times, rotations))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,7 +30,9 @@ def truth(times: np.ndarray, *, slew: bool = False) -> Rotation:
     if slew:
         rate = np.radians(0.1)
         since = np.clip(times - times[len(times) // 3], 0.0, 20.0)
-        angle = np.where(since < 10.0, 0.5 * rate * since**2, rate * (20 * since - 0.5 * since**2 - 100))
+        angle = np.where(
+            since < 10.0, 0.5 * rate * since**2, rate * (20 * since - 0.5 * since**2 - 100)
+        )
         turned = turned * Rotation.from_rotvec(angle[:, None] * [1.0, 0.0, 0.0])
     return Rotation.from_rotvec([0.3, 0.2, 1.0]) * turned * Rotation.from_rotvec(jitter)
 

@@ -86,7 +86,9 @@ def test_drift_and_its_sigma() -> None:
     per_hour = 20.0 * ARCSEC
     off, sigmas = [], []
     for seed in range(60):
-        star = heads({"a": 2.0, "b": 2.0}, sigma_rad=4.0 * ARCSEC, drift_rad_s=per_hour / 3600.0, seed=seed)
+        star = heads(
+            {"a": 2.0, "b": 2.0}, sigma_rad=4.0 * ARCSEC, drift_rad_s=per_hour / 3600.0, seed=seed
+        )
         (pair,) = axis_angles(star)
         off.append(pair.drift_rad_s - per_hour / 3600.0)
         sigmas.append(pair.drift_sigma_rad_s)

@@ -71,7 +71,7 @@ def test_good_data_are_valid() -> None:
 
 def test_scatter_equals_the_stated_sigma() -> None:
     ratios = []
-    for seed in range(40):
+    for seed in range(30):
         found = check_gyro(*simulated(seed=seed, span_s=400.0))
         ratios.append(
             [
@@ -81,7 +81,7 @@ def test_scatter_equals_the_stated_sigma() -> None:
             ]
         )
     spread = np.std(ratios, axis=0)
-    # 13 numbers of 40 draws: 11 % each; the noise levels are estimates themselves.
+    # 13 numbers of 30 draws: 13 % each; the noise levels are estimates themselves.
     assert np.all((spread > 0.65) & (spread < 1.45))
     assert np.mean(spread) == pytest.approx(1.0, abs=0.12)
 
@@ -91,7 +91,7 @@ def test_scatter_equals_the_stated_sigma() -> None:
     scale=st.floats(-0.01, 0.01),
     misalignment=st.floats(-0.01, 0.01),
 )
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_errors_come_back(lag: float, scale: float, misalignment: float) -> None:
     matrix = np.array([[scale, misalignment, 0.0], [0.0, -scale, 0.0], [0.0, 0.0, 0.0]])
     found = check_gyro(*simulated(lag_s=lag, matrix=matrix))

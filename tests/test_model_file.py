@@ -151,8 +151,8 @@ def test_quaternions_of_a_slerp_are_found_again(seed: int, count: int) -> None:
     curve = SlerpCurve.through(times, rough.as_quat())
     rotations = Rotation(slerp_quaternions(curve), normalize=False)
     again = (rotations[:-1].inv() * rotations[1:]).as_rotvec()
-    assert np.max(np.abs(again - curve.slerp.rotvecs)) < 1e-16
-    np.testing.assert_array_equal(rotations[:-1].as_quat(), curve.slerp.rotations.as_quat())
+    assert np.max(np.abs(again - curve.interpolant.rotvecs)) < 1e-16
+    np.testing.assert_array_equal(rotations[:-1].as_quat(), curve.interpolant.rotations.as_quat())
 
 
 class Wobble:

@@ -63,22 +63,24 @@ def solve_graph(
     for factor in factors:
         if len(factor.b):
             graph.add(_custom(factor, sizes))
-    ordering = gtsam.Ordering()
     # Points first: each meets few blocks.
-    for key in sorted(range(len(sizes)), key=lambda k: (with_prior[k], k)):
+    keys = sorted(range(len(sizes)), key=lambda k: (with_prior[k], k))
+    ordering = gtsam.Ordering()
+    for key in keys:
         ordering.push_back(key)
     try:
         net = graph.linearize(values).eliminateSequential(ordering)
         answer = net.optimize()
-        natural = gtsam.Ordering()
-        for key in range(len(sizes)):
-            natural.push_back(key)
-        R = np.asarray(net.matrix(natural)[0], dtype=np.float64)
+        R = np.asarray(net.matrix()[0], dtype=np.float64)
     except RuntimeError:
         raise GeometryError("adjustment: measurements and priors do not fix all unknowns") from None
     z = np.concatenate([answer.at(key) for key in range(len(sizes))]) if sizes else np.empty(0)
     if not np.all(np.isfinite(z)):
         raise GeometryError("adjustment: measurements and priors do not fix all unknowns")
+    # The net's columns are in the order of elimination.
+    first = np.cumsum([0, *sizes])
+    place = [np.arange(first[key], first[key + 1]) for key in keys]
+    R = R[:, np.argsort(np.concatenate(place))] if sizes else R
     inverse = np.linalg.inv(R) if len(R) else R
     return GraphSolution(z, inverse @ inverse.T, R)
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geoposition.adjust.scale_field import ScaleField
 from geoposition.arrays import FlagArray, FloatArray
 from geoposition.pushbroom import PushbroomModel
 from geoposition.sensor_model import SensorModel
 from geoposition.timescale import Epoch
-from geoposition.triangulate.scale import image_scale, quadratic_terms
 
 _FRAMES = 513
 
@@ -65,9 +65,7 @@ class Sights:
     def of(cls, model: SensorModel, image_px: FloatArray, height_m: FloatArray) -> Sights:
         """Lines of sight of `image_px` (n, 2) for ground near `height_m` (n,)."""
         rays = model.rays(image_px, height_m)
-        packed = image_scale(model)
-        place = (np.column_stack([image_px, height_m]) - packed[0, :3]) * packed[0, 3:]
-        scale = (quadratic_terms(place) @ packed[2:]).reshape(-1, 2, 3)
+        scale = ScaleField.of(model).at(image_px, height_m)
         return cls(
             np.ascontiguousarray(image_px),
             rays.origin_ecef_m,

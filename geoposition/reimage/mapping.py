@@ -55,6 +55,11 @@ class RowMap:
         moved[..., 1] -= cols
         return np.asarray(moved)
 
+    def part(self, first: int, end: int) -> RowMap:
+        """Map of the rows `first` ... `end` − 1 of the target alone."""
+        places = self.places[first - self.first_row : end - self.first_row]
+        return RowMap(first, self.node_step, places, self.error_px)
+
     def source_lines(self) -> tuple[float, float] | None:
         """First and last line of the source that the rows point to; none if they do not."""
         lines = self.places[..., 0]

@@ -131,7 +131,6 @@ class OrthoPlaces:
 
 def ortho_window(task: OrthoTask, grid: OrthoGrid) -> OrthoPlaces:
     """Places in the image of the pixels of `grid`, a window of some hundred pixels a side."""
-    rows, cols = grid.shape
     ground = _spread(grid)
     found = task.terrain.height_at(ground)
     height = found.height_m

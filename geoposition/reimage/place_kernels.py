@@ -77,23 +77,23 @@ def resample_places(
     before = 0 if method == BILINEAR else (1 if method == CUBIC else 2)
     after = 1 if method == BILINEAR else (2 if method == CUBIC else 3)
     low32, high32, half32 = np.float32(low), np.float32(high), np.float32(half)
-    quick = method == BILINEAR or method == CUBIC
+    quick = method in (BILINEAR, CUBIC)
     for row in prange(rows):
         for col in range(cols):
             at_line, at_sample = line[row, col] - origin_line, sample[row, col] - origin_sample
             good = False
-            if quick and at_line >= before and at_sample >= before:
-                if at_line < height - after and at_sample < width - after:
-                    i, j = int(at_line), int(at_sample)
-                    y, x = np.float32(at_line - i), np.float32(at_sample - j)
-                    if clear_of_holes(holes, i - before, i + after, j - before, j + after):
-                        good = True
-                        if method == BILINEAR:
-                            value = _bilinear(image, i, j, y, x)
-                        else:
-                            value = _cubic(image, i, j, y, x)
-                        out[row, col] = min(max(value, low32), high32) + half32
-                        valid[row, col] = 1
+            clear = quick and at_line >= before and at_sample >= before
+            if clear and at_line < height - after and at_sample < width - after:
+                i, j = int(at_line), int(at_sample)
+                y, x = np.float32(at_line - i), np.float32(at_sample - j)
+                if clear_of_holes(holes, i - before, i + after, j - before, j + after):
+                    good = True
+                    if method == BILINEAR:
+                        value = _bilinear(image, i, j, y, x)
+                    else:
+                        value = _cubic(image, i, j, y, x)
+                    out[row, col] = min(max(value, low32), high32) + half32
+                    valid[row, col] = 1
             if not good:
                 found = careful_value(image, table, nodata, has_nodata, method, at_line, at_sample)
                 known = not math.isnan(found)

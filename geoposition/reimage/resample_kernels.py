@@ -219,7 +219,7 @@ def run_length(place: float, step: float, whole: float, most: int) -> int:
     else:
         return most
     # one place that is out by rounding is as well served from here
-    return most if n >= most else max(int(math.ceil(n)), 1)
+    return most if n >= most else max(math.ceil(n), 1)
 
 
 @njit(**_PLAIN)
@@ -302,15 +302,22 @@ def resample_rows(
             k = at
             while k < stop:
                 y, x = line + (k - at) * by_line, sample + (k - at) * by_sample
-                i, j = int(math.floor(y)), int(math.floor(x))
+                i, j = math.floor(y), math.floor(x)
                 n = run_length(y, by_line, i, stop - k)
                 n = run_length(x, by_sample - 1.0, j, n)
-                if (
-                    i >= before
-                    and i + after < height
-                    and j >= before
-                    and j + n - 1 + after < width
-                    and clear_of_holes(holes, i - before, i + after, j - before, j + n - 1 + after)
+                quick = i >= before and i + after < height
+                if j < before:
+                    # careful up to where the kernel is inside
+                    n = min(n, before - j)
+                    quick = False
+                elif j + after >= width:
+                    quick = False
+                else:
+                    n = min(n, width - after - j)
+                if holes.size > 0:
+                    n = min(n, BLOCK)
+                if quick and clear_of_holes(
+                    holes, i - before, i + after, j - before, j + n - 1 + after
                 ):
                     start = (
                         np.float32(y - i),

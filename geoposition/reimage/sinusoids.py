@@ -138,10 +138,11 @@ class _Fit:
         )
         f = solved.x / span
         columns = design(f)
-        solution = np.linalg.lstsq(columns, values, rcond=None)[0]
+        solution: FloatArray = np.linalg.lstsq(columns, values, rcond=None)[0]
         rest = values - columns @ solution
         m = len(f)
-        a, b = solution[:m], solution[m : 2 * m]
+        a: FloatArray = solution[:m]
+        b: FloatArray = solution[m : 2 * m]
         # the third parameter of a line is its number of cycles in the span
         turn = 2.0 * np.pi * t[:, None] / span
         slope = turn * (b * columns[:, :m] - a * columns[:, m : 2 * m])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -20,6 +20,8 @@ from geoposition.sensor_model import SensorModel
 from geoposition.terrain import Terrain
 
 STRIP_ROWS: Final = 512
+
+_MAP_ROWS: Final = 8192
 
 ReadLines = Callable[[int, int], NDArray[Any]]
 """Lines first ... end − 1 of the source, as (bands, lines, samples)."""
@@ -90,55 +92,50 @@ def strips(
     """Make the target's image in strips of `rows` rows; the next lines are read meanwhile."""
     if rows < 1 or not parts:
         raise ArgumentError("re-imaging: at least one part and one row a strip expected")
-    lines = parts[0].mapping.target.shape[0]
-    starts = range(0, lines, rows)
-    with ThreadPoolExecutor(max_workers=1) as reader:
-        maps, first, pending = _ahead(parts, starts[0], rows, read_lines, resampler, reader)
-        for k, start in enumerate(starts):
-            image, now, origin = pending.result(), maps, first
-            if k + 1 < len(starts):
-                maps, first, pending = _ahead(
-                    parts, starts[k + 1], rows, read_lines, resampler, reader
-                )
-            yield _strip(parts, now, start, image, origin, resampler)
-
-
-def _ahead(
-    parts: Sequence[Part],
-    start: int,
-    rows: int,
-    read_lines: ReadLines,
-    resampler: Resampler,
-    reader: ThreadPoolExecutor,
-) -> tuple[tuple[RowMap, ...], int, Any]:
-    """Map the rows from `start` on and begin to read what they look at."""
-    lines = parts[0].mapping.target.shape[0]
     source_lines = parts[0].mapping.source.shape[0]
-    end = min(start + rows, lines)
-    known: dict[int, RowMap] = {}
-    maps = []
-    for part in parts:
-        key = id(part.mapping)
-        if key not in known:
-            known[key] = part.mapping.rows(start, end)
-        maps.append(known[key])
+    with ThreadPoolExecutor(max_workers=1) as reader:
+        waiting: tuple[tuple[RowMap, ...], int, Future[NDArray[Any]]] | None = None
+        for maps in _row_maps(parts, rows):
+            first, end = _lines_of(maps, resampler.reach, source_lines)
+            ahead = maps, first, reader.submit(read_lines, first, end)
+            if waiting is not None:
+                yield _strip(parts, *waiting, resampler)
+            waiting = ahead
+        if waiting is not None:
+            yield _strip(parts, *waiting, resampler)
+
+
+def _row_maps(parts: Sequence[Part], rows: int) -> Iterator[tuple[RowMap, ...]]:
+    """Maps of each part for strips of `rows` rows; made for many rows at a time."""
+    lines = parts[0].mapping.target.shape[0]
+    block = rows * max(_MAP_ROWS // rows, 1)
+    different = {id(part.mapping): part.mapping for part in parts}
+    for start in range(0, lines, block):
+        end = min(start + block, lines)
+        made = {key: mapping.rows(start, end) for key, mapping in different.items()}
+        for first in range(start, end, rows):
+            last = min(first + rows, end)
+            yield tuple(made[id(part.mapping)].part(first, last) for part in parts)
+
+
+def _lines_of(maps: Sequence[RowMap], reach: int, source_lines: int) -> tuple[int, int]:
+    """First line of the source that `maps` need, and the one after the last."""
     spans = [span for span in (places.source_lines() for places in maps) if span is not None]
-    first = last = 0
-    if spans:
-        low, high = min(a for a, _ in spans), max(b for _, b in spans)
-        first = int(np.clip(np.floor(low) - resampler.reach, 0, source_lines - 1))
-        last = int(np.clip(np.ceil(high) + resampler.reach, 0, source_lines - 1))
-    return tuple(maps), first, reader.submit(read_lines, first, last + 1)
+    if not spans:
+        return 0, 1
+    low, high = min(a for a, _ in spans), max(b for _, b in spans)
+    first = int(np.clip(np.floor(low) - reach, 0, source_lines - 1))
+    return first, int(np.clip(np.ceil(high) + reach, first, source_lines - 1)) + 1
 
 
 def _strip(
     parts: Sequence[Part],
     maps: tuple[RowMap, ...],
-    start: int,
-    image: NDArray[Any],
     first_line: int,
+    reading: Future[NDArray[Any]],
     resampler: Resampler,
 ) -> Strip:
+    image, start = reading.result(), maps[0].first_row
     if len(parts) == 1:
         only = parts[0]
         pixels, valid = resampler.rows(image, maps[0], only.end_col, (first_line, 0))

@@ -179,9 +179,9 @@ def _made(
         summary,
     )  # fmt: skip
     if request.report:
-        from geoposition.scripts import reimage_report
+        from geoposition.scripts.reimage_report import write
 
-        reimage_report.write(folder / "report.html", found)
+        write(folder / "report.html", found)
     summary["files"] = sorted(path.name for path in folder.iterdir()) + ["reimage.json"]
     (folder / "reimage.json").write_text(
         json.dumps(plain(summary), indent=1, ensure_ascii=False) + "\n", encoding="utf-8"

@@ -22,6 +22,7 @@ from geoposition.product import Product
 from geoposition.rpc.model import RpcModel
 from geoposition.scripts.point_tables import flag_counts, ground_columns
 from geoposition.scripts.results import Progress
+from geoposition.scripts.stereo_sense import require_sense
 from geoposition.scripts.stereo_bias import Removal, remove_bias
 from geoposition.scripts.stereo_checks import (
     HeightDifferences,
@@ -41,10 +42,6 @@ SUFFIXES = tuple(sorted({".csv", *PARQUET_SUFFIXES, *VECTOR_DRIVERS}))
 _FIRST_SIGMA_PX: Final = 0.5
 _LEAST_SIGMA_PX: Final = 0.01
 """No measurement of image points is better, however well synthetic ones agree."""
-_ABSURD_PX: Final = 300.0
-"""No orbit is so wrong; ties with such residuals belong to other products."""
-_ABSURD_M: Final = 1000.0
-"""Nor does ground lie so far off the heights that the models are made for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +122,7 @@ def intersect(
         )
 
     points = solve(models, options.sigma_px or _FIRST_SIGMA_PX, None)
-    _require_sense(products, points)
+    require_sense(products, ties, points)
     biases = relative_bias(ties, points)
     before, removal = None, None
     if options.remove_bias:
@@ -172,28 +169,6 @@ def intersect(
         summary["reference"] = differences.as_dict()
     return StereoRun(tuple(products), models, ties, points, before, biases, removal, checks,
                      differences, summary)  # fmt: skip
-
-
-def _require_sense(products: Sequence[Product], points: IntersectedPoints) -> None:
-    """Refuse ties without any point, and ties that belong to other products."""
-    if not np.any(has_result(points.flag)):
-        reasons = ", ".join(f"{n} {name}" for name, n in flag_counts(points.flag).items())
-        raise GeometryError(f"intersect: no point has a result ({reasons})")
-    residual = float(np.nanmedian(points.residual_px))
-    if residual > _ABSURD_PX:
-        raise GeometryError(
-            f"intersect: the image points miss the models by {residual:.0f} px (median): "
-            "are the products in the order of the ties?"
-        )
-    low = max(product.model.height_range_m[0] for product in products) - _ABSURD_M
-    high = min(product.model.height_range_m[1] for product in products) + _ABSURD_M
-    height = float(np.nanmedian(points.geodetic[:, 2]))
-    if low < high and not low <= height <= high:
-        raise GeometryError(
-            f"intersect: the points lie at {height:.0f} m (median), the models are made for "
-            f"{low + _ABSURD_M:.0f} .. {high - _ABSURD_M:.0f} m: are the products and images "
-            "swapped?"
-        )
 
 
 def _scatter_px(biases: Sequence[RelativeBias]) -> float:
@@ -262,16 +237,20 @@ def write(output: Path, run: StereoRun, covariance: bool = False) -> None:
     columns |= ground_columns(GroundPoints(points.geodetic, points.flag))
     columns |= {f"sigma_{axis}": sigma[:, i] for i, axis in enumerate("enu")}
     columns |= {
-        "residual_px": np.round(points.residual_px, 6),
+        "residual_px": _rounded(points.residual_px, 6),
         "rays": points.rays,
         "flag": flag_labels(points.flag),
-        "convergence_deg": np.round(np.degrees(points.convergence_rad), 5),
+        "convergence_deg": _rounded(np.degrees(points.convergence_rad), 5),
         "weak": points.weak.astype(np.int64),
         "rejected": _rejected(run),
     }
     if covariance:
         columns |= _covariance_columns(points)
     write_points(output, columns)
+
+
+def _rounded(values: FloatArray, digits: int) -> FloatArray:
+    return np.asarray(np.round(values, digits), dtype=np.float64)
 
 
 def _rejected(run: StereoRun) -> Column:

@@ -19,13 +19,13 @@ import typer
 from rich.console import Console
 
 from geoposition.errors import ArgumentError, GeopositionError
-from geoposition.scripts.bench import cases, report, rpc_fit, scenes
+from geoposition.scripts.bench import cases, fusion, report, rpc_fit, scenes
 from geoposition.scripts.bench.machine import copy_gb_s, cores, environment, threading_layer
 from geoposition.scripts.bench.measure import CaseResult, Spread, best_rate, measure
 from geoposition.scripts.tables import check_output, whole_file
 from geoposition.sensors.readers import open_product
 
-_GROUPS = ("rigorous", "rpc", "growth", "times")
+_GROUPS = ("rigorous", "rpc", "fusion", "growth", "times")
 
 
 def bench(
@@ -95,6 +95,8 @@ def _run(
             nodes = rpc_fit.QUICK_NODES if quick else rpc_fit.NODES
             fit_case = rpc_fit.rpc_fit_case(rpc_scene.left, rpc_scene.name, nodes)
             results.append(measure(fit_case, repeats))
+    if "fusion" in groups:
+        results += [measure(case, repeats) for case in fusion.fusion_cases(quick)]
     if "growth" in groups:
         found["growth"] = _growth(rigorous, quick)
     if "times" in groups:

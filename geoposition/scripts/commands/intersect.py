@@ -37,7 +37,9 @@ def command(
     ] = None,
     orbit_sigma: Annotated[
         float | None,
-        typer.Option(help="Of the satellite's place along each axis, m; from the product, or none."),
+        typer.Option(
+            help="Of the satellite's place along each axis, m; from the product, or none."
+        ),
     ] = None,
     rpc_sigma: Annotated[
         float | None,

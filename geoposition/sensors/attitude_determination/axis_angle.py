@@ -26,7 +26,7 @@ _GAP_STEPS = 2.5
 class AxisAngle:
     """Angle between the boresights of two heads over time.
 
-    `angle_rad` (n,) at `times_s` (n,); `std_rad` is the scatter about the mean `mean_rad`;
+    `angle_rad` (n,) at `times_s` (n,); `std_rad` is the RMS about the mean `mean_rad`;
     `drift_rad_s` the slope of a straight line through the angles, with its `drift_sigma_rad_s`
     (NaN below 3 epochs), and `noise_rad` the scatter about that line.
     """
@@ -144,9 +144,9 @@ def interpolate_rotations(
 
 
 def _four_neighbours(first: IntArray, whole: BoolArray) -> tuple[IntArray, BoolArray]:
-    """Samples (m, 4) around steps `first` (m,), and whether no gap is among them.
+    """Find samples (m, 4) around steps `first` (m,), and whether no gap is among them.
 
-    The step is the middle one of three where it can be; else (…, first, first + 1, …) is unused.
+    The step is the middle one of three where it can be. Beside gaps only the inner two count.
     """
     steps = np.concatenate([[False, False], whole, [False, False]])
     index = first[:, None] + np.arange(-1, 3)
@@ -171,7 +171,7 @@ def _lagrange_weights(knots: FloatArray, at: FloatArray) -> FloatArray:
 def _statistics(sensors: tuple[str, str], times: FloatArray, angle: FloatArray) -> AxisAngle:
     n = len(times)
     mean = float(np.mean(angle))
-    std = float(np.std(angle, ddof=1)) if n > 1 else float("nan")
+    std = float(np.std(angle)) if n > 1 else float("nan")
     slope = sigma = noise = float("nan")
     if n > 2:
         offset = times - np.mean(times)

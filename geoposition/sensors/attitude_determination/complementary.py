@@ -33,9 +33,9 @@ from geoposition.sensors.attitude_determination.filter_kernels import (
     predict_covariance,
     update_covariance,
 )
-from geoposition.sensors.attitude_determination.filter_start import begin
 from geoposition.sensors.attitude_determination.forward import (
     ForwardPass,
+    begin,
     estimate_of,
     gate_threshold,
 )

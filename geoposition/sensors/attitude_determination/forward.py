@@ -81,28 +81,25 @@ def prior_variance(settings: FusionSettings) -> FloatArray:
     return variance
 
 
-def run_forward(
+def begin(
     timeline: Timeline, settings: FusionSettings, reference: FloatArray = NO_REFERENCE
 ) -> ForwardPass:
-    """Filter a timeline from its first usable star sample on.
+    """Take the first credible star fix with its noise, and the priors of bias and constants.
 
-    With a `reference` (s − 3,), the gyro model is linearised there instead of at the estimate.
+    Storage for all knots; only the first one's row is filled.
     """
     n, knots, samples = settings.states, len(timeline.times_s), len(timeline.star_index)
     start = _first_fix(timeline, settings)
     first = int(np.searchsorted(timeline.star_start, start, side="right")) - 1
-    quat, rest = np.empty((knots, 4)), np.empty((knots, n - 3))
-    covariance = np.empty((knots, n, n))
+    quat, rest, covariance = np.empty((knots, 4)), np.empty((knots, n - 3)), np.empty((knots, n, n))
     quat[first] = timeline.quat_inertial_body[start]
     rest[first] = 0.0
     covariance[first] = 0.0
     covariance[first, :3, :3] = timeline.covariance_rad2[start]
     covariance[first, range(3, n), range(3, n)] = prior_variance(settings)
-    residual, gain = np.full((samples, 3), np.nan), np.zeros((samples, n, 3))
-    innovation = np.full((samples, 3, 3), np.nan)
     accepted = np.zeros(samples, dtype=np.bool_)
     accepted[start] = True
-    result = ForwardPass(
+    return ForwardPass(
         timeline,
         settings,
         reference,
@@ -111,32 +108,42 @@ def run_forward(
         quat,
         rest,
         covariance,
-        residual,
-        innovation,
-        gain,
+        np.full((samples, 3), np.nan),
+        np.full((samples, 3, 3), np.nan),
+        np.zeros((samples, n, 3)),
         accepted,
     )
+
+
+def run_forward(
+    timeline: Timeline, settings: FusionSettings, reference: FloatArray = NO_REFERENCE
+) -> ForwardPass:
+    """Filter a timeline from its first usable star sample on.
+
+    With a `reference` (s − 3,), the gyro model is linearised there instead of at the estimate.
+    """
+    done = begin(timeline, settings, reference)
     forward_pass(
-        result.token,
-        first,
+        done.token,
+        done.first,
         timeline.step_s,
         timeline.turn_rad,
         timeline.extra_rad2,
         timeline.star_start,
         timeline.quat_inertial_body,
         timeline.covariance_rad2,
-        result.walks,
+        done.walks,
         gate_threshold(settings),
         reference,
-        quat,
-        rest,
-        covariance,
-        residual,
-        innovation,
-        gain,
-        accepted,
+        done.quat_xyzw,
+        done.rest,
+        done.covariance,
+        done.residual_rad,
+        done.innovation_rad2,
+        done.gain,
+        done.accepted,
     )
-    return result
+    return done
 
 
 def estimate_of(

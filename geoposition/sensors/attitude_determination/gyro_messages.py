@@ -12,7 +12,7 @@ from geoposition.sensors.attitude_determination.gyro_samples import GyroFlag
 from geoposition.sensors.telemetry import GyroSeries
 
 _SCALE: Final = 0.02
-_SURE: Final = 5.0
+_SURE: Final = 4.0
 _NEAR: Final = 0.15
 _FAULTS: Final = {
     GyroFlag.SPIKE: "are spikes",
@@ -75,9 +75,9 @@ def _lag(gyro: GyroSeries, lag_s: float, sigma_s: float) -> list[str]:
     step = float(np.median(np.diff(gyro.times_s)))
     if not abs(lag_s) > _SURE * sigma_s or abs(lag_s) < 0.1 * step:
         return []
-    if sigma_s < 0.1 * step and gyro.kind == "rate" and abs(lag_s + 0.5 * step) < 0.15 * step:
+    if sigma_s < _NEAR * step and gyro.kind == "rate" and abs(lag_s + 0.5 * step) < _NEAR * step:
         return ["the rates look like means since the sample before, not instantaneous"]
-    if sigma_s < 0.1 * step and gyro.kind != "rate" and abs(lag_s - 0.5 * step) < 0.15 * step:
+    if sigma_s < _NEAR * step and gyro.kind != "rate" and abs(lag_s - 0.5 * step) < _NEAR * step:
         return ["the rates look instantaneous, not like means since the sample before"]
     late, other = ("star", "gyro") if lag_s > 0.0 else ("gyro", "star")
     return [f"the {late} epochs are late by {abs(lag_s):.4g} s against the {other}'s"]

@@ -91,28 +91,30 @@ def model_motion(
 ) -> MotionModel:
     """Judge unit quaternions (n, 4) of one head at strictly increasing `times_s` (n,).
 
-    `sigma_rad` (2,) is the stated noise across and about the boresight, a first guess: the
-    scatter found takes its place. Fewer than 12 samples between long gaps are believed unseen.
+    `sigma_rad` (2,) is the stated noise across and about the boresight; where the scatter found
+    is larger, it takes its place. Fewer than 12 samples between long gaps are believed unseen.
     """
     outlier = np.zeros(len(times_s), dtype=bool)
-    segments, residuals = [], []
+    segments, scatters = [], []
     for part in _segments(times_s):
         t, q = times_s[part], quat_xyzw[part]
         if len(t) < _FEWEST:
             continue
-        guess = np.array([sigma_rad[0], sigma_rad[0], sigma_rad[1]])
-        first = _fit(t, q, guess, settings)[:1]
-        guess = _scatter(first, t, q, _judge(first, t, q, guess, settings))
-        fits = _fit(t, q, guess, settings)
-        bad = _judge(fits, t, q, guess, settings)
+        stated = np.array([sigma_rad[0], sigma_rad[0], sigma_rad[1]])
+        first = _fit(t, q, stated, settings)[:1]
+        scatter = _scatter(first, t, q, _judge(first, t, q, stated, settings))
+        # What the stated noise allows is no blunder, however quiet the series.
+        noise = np.maximum(scatter, stated)
+        fits = _fit(t, q, noise, settings)
+        bad = _judge(fits, t, q, noise, settings)
         outlier[part] = bad
         segments.append((part, fits))
-        residuals.append(guess)
-    noise = np.median(residuals, axis=0) if residuals else np.full(3, np.nan)
+        scatters.append(scatter)
+    found = np.median(scatters, axis=0) if scatters else np.full(3, np.nan)
     return MotionModel(
         read_only(times_s),
         outlier,
-        read_only(noise),
+        read_only(found),
         tuple(segments),
     )
 
@@ -165,7 +167,7 @@ def _judge(
     settings: OutlierSettings,
 ) -> BoolArray:
     n = len(times)
-    usual = max(float(np.median(fits[0].scale)), _SMALLEST_NOISE_RAD / float(np.max(noise)))
+    usual = max(float(np.median(fits[0].scale)), 1.0)
     decided, outlier = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     levels = []
     for level in fits:

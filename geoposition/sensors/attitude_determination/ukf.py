@@ -17,9 +17,9 @@ import numpy as np
 from geoposition.errors import ArgumentError
 from geoposition.sensors.attitude_determination.convention_check import refuse_wrong_convention
 from geoposition.sensors.attitude_determination.estimate import AttitudeEstimate
-from geoposition.sensors.attitude_determination.filter_start import begin
 from geoposition.sensors.attitude_determination.forward import (
     ForwardPass,
+    begin,
     estimate_of,
     gate_threshold,
 )

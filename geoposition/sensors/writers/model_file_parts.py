@@ -108,7 +108,7 @@ def rotation_section(curve: RotationCurve, part: str, tables: Tables) -> Section
         name = tables.add(part, ("t_s", *QUATERNION), curve.times_s, quats)
         return {"kind": "slerp", "table": name}
     if isinstance(curve, RotationSplineCurve):
-        quats = curve.spline.rotations.as_quat()
+        quats = curve.interpolant.rotations.as_quat()
         name = tables.add(part, ("t_s", *QUATERNION), curve.times_s, quats)
         return {"kind": "rotation-spline", "table": name}
     if isinstance(curve, QuaternionCurve):
@@ -147,7 +147,7 @@ def slerp_quaternions(curve: SlerpCurve) -> FloatArray:
     SciPy's slerp keeps all but the last rotation, and the turn to it: the last is the neighbour
     of the end's value, within rounding, that gives the same turn.
     """
-    slerp: Slerp = curve.slerp
+    slerp: Slerp = curve.interpolant
     known = slerp.rotations.as_quat()
     end = slerp(curve.times_s[-1:]).as_quat()[0]
     steps = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 4, indexing="ij"), axis=-1).reshape(-1, 4)
