@@ -13,6 +13,7 @@ from geoposition.accuracy import (
     axis_statistics,
     circular_error_m,
     enu_errors_m,
+    error_ellipsoids,
     linear_error_m,
     normalised_rms,
     point_statistics,
@@ -35,6 +36,8 @@ def test_one_to_five() -> None:
     assert found.std == pytest.approx(np.sqrt(2.5), rel=1e-15)
     assert found.rmse == pytest.approx(np.sqrt(11.0), rel=1e-15)
     assert (found.minimum, found.maximum) == (1.0, 5.0)
+    mixed = axis_statistics([-3.0, 0.5, 2.0])
+    assert (mixed.minimum, mixed.maximum, mixed.least, mixed.most) == (-3.0, 2.0, 0.5, 3.0)
     assert found.nmad == pytest.approx(1.4826022185, rel=1e-10)
 
 
@@ -139,3 +142,28 @@ def test_normalised_rms_is_one_where_sigma_is_right() -> None:
     assert normalised_rms([2.0, np.nan], [1.0, 1.0]) == 2.0
     with pytest.raises(ArgumentError, match="finite"):
         normalised_rms([np.nan], [1.0])
+
+
+def test_ellipsoids_have_the_axes_they_were_made_of() -> None:
+    """Semi-axes 3, 2, 1 m; the longest at azimuth 30° and 40° above the horizon."""
+    azimuth, elevation = np.radians([30.0, 40.0])
+    first = np.array(
+        [
+            np.cos(elevation) * np.sin(azimuth),
+            np.cos(elevation) * np.cos(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    second = np.array([np.cos(azimuth), -np.sin(azimuth), 0.0])
+    axes = np.stack([first, second, np.cross(first, second)], axis=1)
+    covariance = axes @ np.diag([9.0, 4.0, 1.0]) @ axes.T
+    found = error_ellipsoids(np.stack([covariance, np.full((3, 3), np.nan)]))
+    np.testing.assert_allclose(found.semi_axis_m[0], [3.0, 2.0, 1.0], atol=1e-12)
+    assert found.azimuth_deg[0, 0] == pytest.approx(30.0, abs=1e-9)
+    assert found.elevation_deg[0, 0] == pytest.approx(40.0, abs=1e-9)
+    assert found.elevation_deg[0, 1] == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(
+        np.abs(np.einsum("ij,ij->j", found.direction_enu[0], axes)), 1.0, atol=1e-12
+    )
+    assert np.all(np.isnan(found.semi_axis_m[1]))
+    assert np.all(np.isnan(found.elevation_deg[1]))

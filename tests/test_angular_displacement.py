@@ -18,7 +18,7 @@ from geoposition.sensors.angular_displacement import (
     rates_from_increments,
     simulate_angular_displacement,
 )
-from geoposition.sensors.attitude_determination.heads import fuse_heads
+from geoposition.sensors.attitude_determination.static.heads import fuse_heads
 from geoposition.sensors.jitter_scene import (
     PAPER_LINES,
     JitterLine,

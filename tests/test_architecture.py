@@ -20,7 +20,7 @@ DOORS = {
     "laspy": ("surface/point_cloud.py",),
     "gtsam": (
         "adjust/factors.py",
-        "sensors/attitude_determination/factor_graph_engine.py",
+        "sensors/attitude_determination/graph/engine.py",
     ),
 }
 """Where a library may be imported, below the package; benchmarks and peers are free."""

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from geoposition.errors import ArgumentError
-from geoposition.sensors.attitude_determination.outliers import OutlierSettings
-from geoposition.sensors.attitude_determination.preprocess import (
+from geoposition.sensors.attitude_determination.checks.outliers import OutlierSettings
+from geoposition.sensors.attitude_determination.checks.preprocess import (
     PreprocessSettings,
     SampleFlag,
     preprocess,
     sample_flag_labels,
 )
-from geoposition.sensors.attitude_determination.time_order import forward_rows
+from geoposition.sensors.attitude_determination.checks.time_order import forward_rows
 
 ARCSEC = np.pi / 648000.0
 STEP_S = 0.25

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from geoposition.errors import GeometryError
-from geoposition.sensors.attitude_determination.axis_angle import (
+from geoposition.sensors.attitude_determination.checks.axis_angle import (
     angle_between_rad,
     axis_angles,
     interpolate_rotations,

@@ -88,7 +88,8 @@ def test_known_points_come_back(
     # Line times of a table are read to 1e-9 s and image points to 1e-8 px: far below 1 mm.
     assert max(result["rmse_m"].values()) < 1e-3
     assert list(rows(out)[0]) == [
-        "id", "lon", "lat", "height", "sigma_e", "sigma_n", "sigma_u", "residual_px", "rays", "flag"
+        "id", "lon", "lat", "height", "sigma_e", "sigma_n", "sigma_u", "residual_px", "rays",
+        "flag", "convergence_deg", "weak", "rejected",
     ]  # fmt: skip
     assert {row["flag"] for row in rows(out)} == {"ok"}
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from geoposition.errors import ArgumentError
-from geoposition.sensors.attitude_determination import complementary, ukf
+from geoposition.sensors.attitude_determination.filters import complementary, ukf
 from geoposition.sensors.gyro import draw_parameters
 from geoposition.sensors.telemetry import GyroParameters, GyroSeries, StarSeries
 

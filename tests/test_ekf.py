@@ -12,9 +12,9 @@ from scipy.stats import chi2
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.rotation import skew
 from geoposition.scripts.experiments.monte_carlo import Scene, simulate
-from geoposition.sensors.attitude_determination import ekf
-from geoposition.sensors.attitude_determination.batch import run_batch
-from geoposition.sensors.attitude_determination.forward import run_forward
+from geoposition.sensors.attitude_determination.filters import ekf
+from geoposition.sensors.attitude_determination.filters.forward import run_forward
+from geoposition.sensors.attitude_determination.monte_carlo.batch import run_batch
 from geoposition.sensors.attitude_determination.propagation import process_noise, transition
 from geoposition.sensors.attitude_determination.settings import FusionSettings
 from geoposition.sensors.attitude_determination.timeline import merge

@@ -8,7 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geoposition.errors import ArgumentError
-from geoposition.sensors.attitude_determination.error_split import SplitSettings, split_errors
+from geoposition.sensors.attitude_determination.checks.error_split import (
+    SplitSettings,
+    split_errors,
+)
 
 PERIOD_S = 5600.0
 

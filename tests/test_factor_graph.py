@@ -9,11 +9,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from geoposition.errors import ArgumentError, GeometryError
-from geoposition.sensors.attitude_determination import factor_graph, smooth
-from geoposition.sensors.attitude_determination.factor_graph import GraphOptions, RobustNoise
-from geoposition.sensors.attitude_determination.forward import run_forward
+from geoposition.sensors.attitude_determination.filters.forward import run_forward
+from geoposition.sensors.attitude_determination.graph import factor_graph
+from geoposition.sensors.attitude_determination.graph.factor_graph import GraphOptions, RobustNoise
 from geoposition.sensors.attitude_determination.preintegration import preintegrate
 from geoposition.sensors.attitude_determination.settings import FusionSettings
+from geoposition.sensors.attitude_determination.smoothers import smooth
 from geoposition.sensors.attitude_determination.timeline import merge
 from geoposition.sensors.gyro import draw_parameters
 from geoposition.sensors.telemetry import GyroNoise, GyroParameters, Mounting, StarSeries

@@ -9,9 +9,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from geoposition.errors import ArgumentError, GeometryError
-from geoposition.sensors.attitude_determination.axis_angle import interpolate_rotations
-from geoposition.sensors.attitude_determination.gyro_check import GyroCheckSettings, check_gyro
-from geoposition.sensors.attitude_determination.gyro_samples import GyroFlag, suspicious_samples
+from geoposition.sensors.attitude_determination.checks.axis_angle import interpolate_rotations
+from geoposition.sensors.attitude_determination.checks.gyro_check import (
+    GyroCheckSettings,
+    check_gyro,
+)
+from geoposition.sensors.attitude_determination.checks.gyro_samples import (
+    GyroFlag,
+    suspicious_samples,
+)
 from geoposition.sensors.kinematics import accumulated
 from geoposition.sensors.telemetry import GyroKind, GyroSeries, Mounting, StarSeries
 

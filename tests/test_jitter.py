@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from geoposition.ephemeris import Ephemeris
 from geoposition.errors import ArgumentError, SpanError
-from geoposition.sensors.attitude_determination.jitter import (
+from geoposition.sensors.attitude_determination.jitter.lines import (
     AXES,
     Jitter,
     JitterSettings,
     jitter_from_attitude,
     jitter_from_gyro,
 )
-from geoposition.sensors.attitude_determination.orbit_angles import orbit_roll_pitch_yaw
+from geoposition.sensors.attitude_determination.jitter.orbit_angles import orbit_roll_pitch_yaw
 from geoposition.sensors.simulate_attitude import Pointing, Vibration
 from geoposition.sensors.simulate_orbit import Orbit
 from geoposition.sensors.telemetry import GyroKind, GyroSeries

@@ -11,7 +11,7 @@ from attitude_scenes import ARCSEC, settings, telemetry
 from scipy.spatial.transform import Rotation
 
 from geoposition.errors import GeometryError
-from geoposition.sensors.attitude_determination import noise_levels
+from geoposition.sensors.attitude_determination.noise import noise_levels
 from geoposition.sensors.attitude_determination.settings import FusionSettings
 from geoposition.sensors.gyro import simulate_rates
 from geoposition.sensors.telemetry import GyroNoise, GyroSeries, StarSeries

@@ -11,10 +11,11 @@ from scipy.stats import chi2
 
 from geoposition.errors import ArgumentError
 from geoposition.scripts.experiments.monte_carlo import Scene, simulate
-from geoposition.sensors.attitude_determination import ekf, smooth
-from geoposition.sensors.attitude_determination.batch import run_batch
+from geoposition.sensors.attitude_determination.filters import ekf
+from geoposition.sensors.attitude_determination.monte_carlo.batch import run_batch
 from geoposition.sensors.attitude_determination.propagation import process_noise, transition
 from geoposition.sensors.attitude_determination.settings import FusionSettings
+from geoposition.sensors.attitude_determination.smoothers import smooth
 from geoposition.sensors.attitude_determination.timeline import merge
 from geoposition.sensors.gyro import draw_parameters
 from geoposition.sensors.telemetry import GyroNoise, GyroParameters, Mounting, StarSeries

@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geoposition.errors import ArgumentError
-from geoposition.sensors.attitude_determination.low_pass import low_pass, low_pass_gain
-from geoposition.sensors.attitude_determination.noise_floor import noise_floor
-from geoposition.sensors.attitude_determination.spectrum import (
+from geoposition.sensors.attitude_determination.signal.low_pass import low_pass, low_pass_gain
+from geoposition.sensors.attitude_determination.signal.noise_floor import noise_floor
+from geoposition.sensors.attitude_determination.signal.peaks import find_lines
+from geoposition.sensors.attitude_determination.signal.spectrum import (
     SpectrumMethod,
     fourier_sums,
     highest_frequency_hz,
     spectrum,
 )
-from geoposition.sensors.attitude_determination.spectrum_peaks import find_lines
 
 
 def uneven_times(n: int, rng: np.random.Generator) -> np.ndarray:

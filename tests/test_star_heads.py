@@ -11,8 +11,11 @@ from scipy.stats import chi2
 
 from geoposition.errors import ArgumentError
 from geoposition.flags import Flag
-from geoposition.sensors.attitude_determination.heads import fuse_heads, mounting_from_matrices
-from geoposition.sensors.attitude_determination.mean import weighted_mean
+from geoposition.sensors.attitude_determination.static.heads import (
+    fuse_heads,
+    mounting_from_matrices,
+)
+from geoposition.sensors.attitude_determination.static.mean import weighted_mean
 from geoposition.sensors.star_sensor import StarHead, mounting_of, simulate_star_series
 from geoposition.sensors.telemetry import Mounting, StarSeries
 

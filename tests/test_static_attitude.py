@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from geoposition.errors import ArgumentError
 from geoposition.flags import Flag
-from geoposition.sensors.attitude_determination import static
+from geoposition.sensors.attitude_determination.static import methods as static
 
 OPTIMAL = (static.davenport_q, static.svd, static.quest, static.foam)
 ALL = (*OPTIMAL, static.triad)

@@ -11,7 +11,7 @@ from geoposition.scripts.experiments import thesis_ch4
 from geoposition.scripts.experiments.monte_carlo import ARCSEC_RAD, without_noise
 from geoposition.scripts.experiments.thesis_tables import ThesisCh4, parameter_vector
 from geoposition.scripts.results import plain
-from geoposition.sensors.attitude_determination.bound import bound_rms_rad
+from geoposition.sensors.attitude_determination.monte_carlo.bound import bound_rms_rad
 
 RUNS = 24
 

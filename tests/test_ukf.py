@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from geoposition.errors import ArgumentError
-from geoposition.sensors.attitude_determination import ekf, ukf
+from geoposition.sensors.attitude_determination.filters import ekf, ukf
 from geoposition.sensors.attitude_determination.settings import FusionSettings
 from geoposition.sensors.gyro import draw_parameters
 from geoposition.sensors.telemetry import GyroNoise, GyroParameters, GyroSeries, StarSeries

@@ -8,7 +8,7 @@ from geoposition.adjust.adjustment import (
     WeakCombination,
 )
 from geoposition.adjust.attitude_prior import attitude_process
-from geoposition.adjust.control import HeightControl, selected_control, split_control
+from geoposition.adjust.control import HeightControl, selected_control, split_control, terrain_heights
 from geoposition.adjust.robust import RobustOptions
 from geoposition.adjust.run import adjust, adjusted_models
 from geoposition.adjust.unknowns import (
@@ -42,5 +42,6 @@ __all__ = [
     "orbit",
     "selected_control",
     "split_control",
+    "terrain_heights",
     "time_offset",
 ]

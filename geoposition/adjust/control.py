@@ -10,7 +10,11 @@ from numpy.typing import ArrayLike
 
 from geoposition.arrays import BoolArray, FloatArray, IntArray, read_only
 from geoposition.errors import ArgumentError
-from geoposition.observations import ControlPoints, Ids
+from geoposition.flags import has_result
+from geoposition.observations import ControlPoints, Ids, TiePoints
+from geoposition.sensor_model import SensorModel
+from geoposition.terrain import Terrain
+from geoposition.triangulate import triangulate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,3 +72,20 @@ def split_control(
         raise ArgumentError(f"check points: no point {unknown[0]} among the control points")
     check = np.isin(control.ids, wanted)
     return selected_control(control, ~check), selected_control(control, check)
+
+
+def terrain_heights(
+    models: Sequence[SensorModel], ties: TiePoints, terrain: Terrain, sigma_m: float
+) -> HeightControl:
+    """Heights of `terrain` where the tie points intersect with `models` as they are.
+
+    Where the models are off by much, so are the places: adjust, then ask again with the adjusted
+    models, until the heights settle. Points without an intersection or terrain have none.
+    """
+    found = triangulate(models, ties, blunder_factor=np.inf)
+    height = np.full(len(found.ids), np.nan)
+    rows = np.flatnonzero(has_result(found.flag))
+    if len(rows):
+        heights = terrain.height_at(found.geodetic[rows])
+        height[rows] = np.where(has_result(heights.flag), heights.height_m, np.nan)
+    return HeightControl(found.ids, height, np.full(len(height), sigma_m))

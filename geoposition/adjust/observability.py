@@ -42,9 +42,7 @@ def weak_combinations(names: Sequence[str], covariance_z: FloatArray) -> list[We
     return out
 
 
-def correlated_pairs(
-    names: Sequence[str], covariance: FloatArray
-) -> list[tuple[str, str, float]]:
+def correlated_pairs(names: Sequence[str], covariance: FloatArray) -> list[tuple[str, str, float]]:
     """Pairs of unknowns with correlations beyond `CORRELATED`, the closest first."""
     sigma = np.sqrt(np.diagonal(covariance))
     correlation = covariance / np.outer(sigma, sigma)

@@ -39,7 +39,7 @@ class RobustOptions:
     bulk of the points, role by role.
     """
 
-    family_risk: float = 1e-3
+    family_risk: float = 1e-4
     adapt: bool = True
 
 
@@ -118,9 +118,7 @@ def _retested(
                 np.full(len(g.r), chi2.isf(o.family_risk / count, g.r.shape[1]) * scale[role] ** 2)
                 for g, role in zip(groups, roles, strict=True)
             ]
-        now = [
-            g.strong & (s <= lim) for g, s, lim in zip(groups, statistic, limit, strict=True)
-        ]
+        now = [g.strong & (s <= lim) for g, s, lim in zip(groups, statistic, limit, strict=True)]
         same = all(np.array_equal(a, b) for a, b in zip(now, used, strict=True))
         used = now
         if same:
@@ -227,9 +225,7 @@ def _graduated(
 def _weights(ratio: FloatArray, mu: float) -> FloatArray:
     """Weights of squared residuals over their limit, at the control parameter `mu`."""
     between = np.sqrt(mu * (mu + 1.0) / np.maximum(ratio, 1e-300)) - mu
-    return np.where(
-        ratio >= (mu + 1.0) / mu, 0.0, np.where(ratio <= mu / (mu + 1.0), 1.0, between)
-    )
+    return np.where(ratio >= (mu + 1.0) / mu, 0.0, np.where(ratio <= mu / (mu + 1.0), 1.0, between))
 
 
 def _ratios(

@@ -76,7 +76,9 @@ def adjust(
     if ties is not None:
         high = (None, None) if heights is None else heights.of_points(ties.grouped().ids)
         sets.append(of_ties(models, ties, tie_sigma_px, *high))
-    solved = solve(models, blocks, sets, None if explicit_points else robust, explicit=explicit_points)
+    solved = solve(
+        models, blocks, sets, None if explicit_points else robust, explicit=explicit_points
+    )
     probe = None if check is None else of_control("check", models, check, control_sigma_px)
     return _result(models, blocks, solved, probe)
 
@@ -90,9 +92,7 @@ def _result(
     equations = equations_of(models, blocks)
     results = {"control": nothing(), "check": nothing(), "tie": nothing()}
     at = 0
-    for points, several, used in zip(
-        solved.sets, solved.groups, used_by_set(solved), strict=True
-    ):
+    for points, several, used in zip(solved.sets, solved.groups, used_by_set(solved), strict=True):
         limits = solved.robust.limit[at : at + len(several)]
         if not limits:
             limits = [np.full(len(group.points), np.inf) for group in several]
@@ -110,9 +110,7 @@ def _result(
     theta = equations.theta(solved.z)
     covariance = equations.S @ solved.solution.covariance @ equations.S.T
     names = tuple(name for block in blocks for name in block.names)
-    freedom = sum(
-        float(np.sum(r.freedom[r.status == Status.USED])) for r in results.values()
-    )
+    freedom = sum(float(np.sum(r.freedom[r.status == Status.USED])) for r in results.values())
     cost = solved.history[-1].cost
     return Adjustment(
         blocks=blocks,

@@ -124,7 +124,9 @@ class Graph:
                 sizes.append(3)
                 prior.append(False)
         found = solve_graph(sizes, prior, factors)
-        return GraphSolution(found.z - _padded(self.z0, len(found.z)), found.covariance, found.info_root)
+        return GraphSolution(
+            found.z - _padded(self.z0, len(found.z)), found.covariance, found.info_root
+        )
 
     def _variables(self, columns: IntArray) -> tuple[int, ...]:
         blocks = np.unique(np.searchsorted(self.first, columns, side="right") - 1)
@@ -160,9 +162,7 @@ def solve(
             for points, several in zip(now, split, strict=True)
         ]
         flat = [group for several in linear for group in several]
-        roles = [
-            points.role for points, several in zip(now, linear, strict=True) for _ in several
-        ]
+        roles = [points.role for points, several in zip(now, linear, strict=True) for _ in several]
         graph = Graph(tuple(blocks), first, flat, z, [])
         if explicit:
             raw = _explicit(equations, now, split, z)
@@ -187,9 +187,7 @@ def solve(
         moved = _move(now, linear, dz, models)
         z = z + dz
         total = sum(int(u.sum()) for u in found.used)
-        history.append(
-            Iteration(cost, step, total, sum(len(u) for u in found.used) - total)
-        )
+        history.append(Iteration(cost, step, total, sum(len(u) for u in found.used) - total))
         before = found
         if step < _STEP_SIGMA and same and moved < _POINT_STEP_M:
             return Solved(
@@ -239,9 +237,7 @@ def _explicit(
     for points, several in zip(sets, split, strict=True):
         for group in several:
             columns, _ = group_columns(equations, group)
-            rows = whitened_rows(
-                equations, points, group, slice(0, len(group.points)), theta, True
-            )
+            rows = whitened_rows(equations, points, group, slice(0, len(group.points)), theta, True)
             S = equations.S[np.ix_(columns, columns)]
             rows[:, :, 3:-1] = rows[:, :, 3:-1] @ S
             out.append((columns, rows))

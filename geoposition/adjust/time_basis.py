@@ -41,9 +41,7 @@ class TimeBasis(Protocol):
         """Functions (n, m) at `times_s` (n,) from `epoch`."""
         ...
 
-    def curve(
-        self, coefficients: FloatArray, epoch: Epoch, span_s: tuple[float, float]
-    ) -> Curve:
+    def curve(self, coefficients: FloatArray, epoch: Epoch, span_s: tuple[float, float]) -> Curve:
         """Curve of `coefficients` (m, k), over seconds from another `epoch`."""
         ...
 

@@ -245,9 +245,7 @@ def _rigorous(models: Sequence[SensorModel], image: int, name: str) -> Pushbroom
     return model
 
 
-def _middle(
-    models: Sequence[SensorModel], images: Sequence[int], name: str
-) -> tuple[Epoch, float]:
+def _middle(models: Sequence[SensorModel], images: Sequence[int], name: str) -> tuple[Epoch, float]:
     """Instant in the middle of all lines of `images`, and half the time they take."""
     if not images:
         raise ArgumentError(f"{name}: one or more images expected")

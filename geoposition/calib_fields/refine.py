@@ -32,8 +32,7 @@ from geoposition.arrays import BoolArray, FloatArray, IntArray
 Grey: TypeAlias = NDArray[np.float32]
 
 BLOCK_PX: Final = 8
-REACH_PX: Final = 2
-"""Pixels beyond a patch that the splines look at."""
+_SMOOTH_PX: Final = 0.7
 _STEPS: Final = 20
 _CONVERGED_PX: Final = 5e-4
 _FAST: Final = {"contract", "arcp", "nsz", "reassoc"}
@@ -58,8 +57,6 @@ class Template:
         row_slope = ndimage.correlate1d(row_slope, smooth, axis=1, mode="mirror")
         col_slope = ndimage.correlate1d(spline, slope, axis=1, mode="mirror")
         col_slope = ndimage.correlate1d(col_slope, smooth, axis=0, mode="mirror")
-        # the slope beside a hole is that of its filling
-        known = ndimage.minimum_filter(known, 3, mode="nearest")
         return cls(filled, row_slope, col_slope, known)
 
 
@@ -98,10 +95,16 @@ def spline_coefficients(grey: Grey) -> Grey:
 
 
 def _filled(grey: FloatArray) -> tuple[Grey, Grey]:
-    """Values with holes filled by the mean, less the mean; and 0 or 1 for known."""
+    """Smoothed values less their mean, holes filled with it; and 0 or 1 for known.
+
+    The detail that smoothing removes is what cubic splines cannot move without shifting it.
+    """
     known = np.isfinite(grey)
     middle = float(grey[known].mean()) if known.any() else 0.0
     filled = np.where(known, grey - middle, 0.0).astype(np.float32)
+    filled = ndimage.gaussian_filter(filled, _SMOOTH_PX, mode="nearest", truncate=4.0)
+    if not known.all():
+        known = ndimage.minimum_filter(known, 5, mode="nearest")
     return filled, known.astype(np.float32)
 
 

@@ -10,13 +10,13 @@ import numpy as np
 
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.scripts.attitude_input import ARCSEC_RAD, Sources, load, named
-from geoposition.sensors.attitude_determination.axis_angle import (
+from geoposition.sensors.attitude_determination.checks.axis_angle import (
     AxisAngle,
     angle_between_rad,
     axis_angles,
     boresight_inertial,
 )
-from geoposition.sensors.attitude_determination.error_split import (
+from geoposition.sensors.attitude_determination.checks.error_split import (
     ErrorSplit,
     SplitSettings,
     split_errors,

@@ -8,8 +8,8 @@ import numpy as np
 
 from geoposition.errors import ArgumentError, ProductError
 from geoposition.scripts.attitude_input import ARCSEC_RAD
-from geoposition.sensors.attitude_determination.outliers import OutlierSettings
-from geoposition.sensors.attitude_determination.preprocess import (
+from geoposition.sensors.attitude_determination.checks.outliers import OutlierSettings
+from geoposition.sensors.attitude_determination.checks.preprocess import (
     Preprocessed,
     PreprocessSettings,
     preprocess,

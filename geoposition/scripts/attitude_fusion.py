@@ -24,7 +24,10 @@ from geoposition.scripts.attitude_input import (
 )
 from geoposition.scripts.results import Progress
 from geoposition.sensors.attitude_determination.estimate import AttitudeEstimate
-from geoposition.sensors.attitude_determination.noise_levels import NoiseLevels, estimate_noise
+from geoposition.sensors.attitude_determination.noise.noise_levels import (
+    NoiseLevels,
+    estimate_noise,
+)
 from geoposition.sensors.attitude_determination.resample import at_times, regular_times
 from geoposition.sensors.attitude_determination.settings import FusionSettings
 from geoposition.sensors.readers.attitude_columns import PRESETS

@@ -26,9 +26,9 @@ from geoposition.scripts.report import (
     number,
     provenance,
 )
-from geoposition.sensors.attitude_determination.low_pass import low_pass
-from geoposition.sensors.attitude_determination.orbit_angles import body_roll_pitch_yaw
-from geoposition.sensors.attitude_determination.spectrum import spectrum
+from geoposition.sensors.attitude_determination.jitter.orbit_angles import body_roll_pitch_yaw
+from geoposition.sensors.attitude_determination.signal.low_pass import low_pass
+from geoposition.sensors.attitude_determination.signal.spectrum import spectrum
 
 _LEAST_FOR_SPECTRUM: Final = 64
 _SMOOTHERS: Final = ("rts", "two-filter", "graph")

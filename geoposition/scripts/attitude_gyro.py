@@ -24,12 +24,12 @@ from geoposition.scripts.report import (
     number,
     provenance,
 )
-from geoposition.sensors.attitude_determination.gyro_check import (
+from geoposition.sensors.attitude_determination.checks.gyro_check import (
     GyroCheck,
     GyroCheckSettings,
     check_gyro,
 )
-from geoposition.sensors.attitude_determination.gyro_samples import GyroFlag
+from geoposition.sensors.attitude_determination.checks.gyro_samples import GyroFlag
 from geoposition.sensors.writers.table_file import Column
 
 _LABELS = np.array([flag.name.lower() for flag in GyroFlag], dtype=np.str_)

@@ -138,7 +138,7 @@ def _overlap(sources: Sources, star: StarSeries, gyro: GyroSeries) -> None:
 
 def agree(telemetry: Telemetry) -> dict[str, object]:
     """Refuse star and gyro of contradicting conventions; a lesser doubt becomes a warning."""
-    from geoposition.sensors.attitude_determination.convention_check import check_conventions
+    from geoposition.sensors.attitude_determination.checks.convention_check import check_conventions
 
     found = check_conventions(telemetry.star, telemetry.need_gyro, telemetry.mounting)
     if found.message:

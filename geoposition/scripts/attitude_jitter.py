@@ -16,7 +16,7 @@ from geoposition.errors import ArgumentError, ProductError
 from geoposition.scripts.attitude_conversion import read_orbit
 from geoposition.scripts.attitude_input import Sources, load, mounting_facts
 from geoposition.sensors.attitude_determination.convert import AttitudeFrame, convert
-from geoposition.sensors.attitude_determination.jitter import (
+from geoposition.sensors.attitude_determination.jitter.lines import (
     AXES,
     Jitter,
     JitterSettings,

@@ -28,8 +28,8 @@ from geoposition.scripts.tables import whole_file
 if TYPE_CHECKING:
     from geoposition.scripts.attitude_checks import AxisAngles
     from geoposition.scripts.attitude_static import StaticRun
-    from geoposition.sensors.attitude_determination.jitter import Jitter
-    from geoposition.sensors.attitude_determination.preprocess import Preprocessed
+    from geoposition.sensors.attitude_determination.checks.preprocess import Preprocessed
+    from geoposition.sensors.attitude_determination.jitter.lines import Jitter
 
 BODY = ("x", "y", "z")
 

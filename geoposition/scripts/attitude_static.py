@@ -12,7 +12,11 @@ from geoposition.errors import GeometryError
 from geoposition.flags import Flag, flag_labels, has_result
 from geoposition.scripts.attitude_input import ARCSEC_RAD, mounting_facts
 from geoposition.scripts.point_tables import flag_counts
-from geoposition.sensors.attitude_determination.static import StaticAttitude, StaticMethod, solve
+from geoposition.sensors.attitude_determination.static.methods import (
+    StaticAttitude,
+    StaticMethod,
+    solve,
+)
 from geoposition.sensors.readers.telemetry_source import open_mounting
 from geoposition.sensors.readers.vector_table import VectorTable, read_vectors
 from geoposition.sensors.writers.table_file import Column

@@ -12,8 +12,8 @@ import numpy as np
 from geoposition.accuracy import error_ellipsoids
 from geoposition.arrays import FloatArray
 from geoposition.error_budget import ModelError
-from geoposition.errors import ArgumentError, GeometryError, ProductError
-from geoposition.flags import Flag, flag_labels, has_result
+from geoposition.errors import ArgumentError, ProductError
+from geoposition.flags import Flag, flag_labels
 from geoposition.intersect import MIN_CONVERGENCE_RAD
 from geoposition.matching import match_images
 from geoposition.matching.image import ImageSource, open_image
@@ -22,7 +22,6 @@ from geoposition.product import Product
 from geoposition.rpc.model import RpcModel
 from geoposition.scripts.point_tables import flag_counts, ground_columns
 from geoposition.scripts.results import Progress
-from geoposition.scripts.stereo_sense import require_sense
 from geoposition.scripts.stereo_bias import Removal, remove_bias
 from geoposition.scripts.stereo_checks import (
     HeightDifferences,
@@ -31,6 +30,7 @@ from geoposition.scripts.stereo_checks import (
     compare_heights,
 )
 from geoposition.scripts.stereo_errors import StatedSigmas, describe_error, model_errors
+from geoposition.scripts.stereo_sense import require_sense
 from geoposition.scripts.tables import PARQUET_SUFFIXES, VECTOR_DRIVERS, Column, write_points
 from geoposition.scripts.tie_tables import Checks
 from geoposition.sensor_model import GroundPoints, SensorModel
@@ -122,7 +122,7 @@ def intersect(
         )
 
     points = solve(models, options.sigma_px or _FIRST_SIGMA_PX, None)
-    require_sense(products, ties, points)
+    require_sense(products, ties, points, least)
     biases = relative_bias(ties, points)
     before, removal = None, None
     if options.remove_bias:

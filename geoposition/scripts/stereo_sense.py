@@ -25,7 +25,12 @@ _BETTER: Final = 0.25
 _MOST_TIES: Final = 2000
 
 
-def require_sense(products: Sequence[Product], ties: TiePoints, points: IntersectedPoints) -> None:
+def require_sense(
+    products: Sequence[Product],
+    ties: TiePoints,
+    points: IntersectedPoints,
+    min_convergence_rad: float,
+) -> None:
     """Refuse ties without any point, and ties that belong to other products.
 
     `points` are the ties intersected as they are. Images given in the wrong order intersect as
@@ -34,7 +39,7 @@ def require_sense(products: Sequence[Product], ties: TiePoints, points: Intersec
     found = has_result(points.flag)
     residual = float(np.nanmedian(points.residual_px)) if found.any() else np.inf
     if residual > _SUSPECT_PX:
-        _require_order(products, ties, residual)
+        _require_order(products, ties, residual, min_convergence_rad)
     if not found.any():
         reasons = ", ".join(f"{n} {name}" for name, n in flag_counts(points.flag).items())
         raise GeometryError(f"intersect: no point has a result ({reasons})")
@@ -53,7 +58,12 @@ def require_sense(products: Sequence[Product], ties: TiePoints, points: Intersec
         )
 
 
-def _require_order(products: Sequence[Product], ties: TiePoints, residual_px: float) -> None:
+def _require_order(
+    products: Sequence[Product],
+    ties: TiePoints,
+    residual_px: float,
+    min_convergence_rad: float,
+) -> None:
     """Refuse ties that fit far better with two products exchanged."""
     models = [product.model for product in products]
     points = np.unique(ties.ids)
@@ -63,7 +73,7 @@ def _require_order(products: Sequence[Product], ties: TiePoints, residual_px: fl
         order = np.arange(len(models))
         order[[i, j]] = j, i
         exchanged = TiePoints(ties.ids, order[ties.product], ties.image_px, ties.covariance_px2)
-        found = triangulate(models, exchanged)
+        found = triangulate(models, exchanged, min_convergence_rad=min_convergence_rad)
         good = has_result(found.flag)
         if 2 * good.sum() < len(found.ids):
             continue

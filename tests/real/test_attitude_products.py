@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geoposition.sensors.attitude_determination.axis_angle import axis_angles
-from geoposition.sensors.attitude_determination.gyro_check import check_gyro
-from geoposition.sensors.attitude_determination.jitter import (
+from geoposition.sensors.attitude_determination.checks.axis_angle import axis_angles
+from geoposition.sensors.attitude_determination.checks.gyro_check import check_gyro
+from geoposition.sensors.attitude_determination.checks.preprocess import SampleFlag, preprocess
+from geoposition.sensors.attitude_determination.jitter.lines import (
     AXES,
     jitter_from_attitude,
     jitter_from_gyro,
 )
-from geoposition.sensors.attitude_determination.preprocess import SampleFlag, preprocess
 from geoposition.sensors.readers.gracefo import read_sca1a
 from geoposition.sensors.telemetry import GyroSeries, StarSeries
 

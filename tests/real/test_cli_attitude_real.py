@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from geoposition.attitude import SlerpCurve
 from geoposition.scripts.cli import run
-from geoposition.sensors.attitude_determination.axis_angle import axis_angles
+from geoposition.sensors.attitude_determination.checks.axis_angle import axis_angles
 from geoposition.sensors.readers import gracefo
 from geoposition.sensors.readers.attitude_columns import column_map
 from geoposition.sensors.readers.attitude_tables import read_star

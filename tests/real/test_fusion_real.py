@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
 from geoposition.arrays import FloatArray
 from geoposition.errors import ArgumentError
-from geoposition.sensors.attitude_determination import ekf, smooth
+from geoposition.sensors.attitude_determination.filters import ekf
 from geoposition.sensors.attitude_determination.settings import FusionSettings
+from geoposition.sensors.attitude_determination.smoothers import smooth
 from geoposition.sensors.telemetry import GyroNoise, GyroSeries, StarSeries
 
 ARCSEC = np.pi / 648000.0

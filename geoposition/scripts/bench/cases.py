@@ -33,6 +33,7 @@ from geoposition.scripts.bench.work import RigorousWork, RpcWork, smooth_heights
 from geoposition.sensor_model import GroundPoints, ImagePoints, SensorModel
 from geoposition.terrain import Terrain
 from geoposition.terrain.raster import RasterTerrain
+from geoposition.triangulate import triangulate_pairs_weighted
 
 OURS = "geoposition"
 _EVERY = slice(None)
@@ -187,6 +188,26 @@ def _pair_cases(scene: RpcScene, left: RpcWork, sizes: Sizes) -> Iterator[Case]:
         ),
         target_mpoint_s=5.0,
         bytes_per_point=2 * 16 + 24 + 8 + 1,
+    )
+    yield Case(
+        key="pair-covariance",
+        title=f"the same, weighted, with covariance, {scene.name}",
+        points=left.points,
+        unit="m",
+        tolerance=0.5,
+        ours=Contender(
+            OURS,
+            _EVERY,
+            lambda: triangulate_pairs_weighted(
+                scene.left, scene.right, left.image_px, right.image_px
+            ),
+            _ground,
+        ),
+        peers=(
+            peer_shareloc.triangulate(left, right, (middle - 50.0, middle + 50.0), sizes.compiled),
+        ),
+        target_mpoint_s=3.0,
+        bytes_per_point=2 * 16 + 24 + 72 + 8 + 1,
     )
 
 

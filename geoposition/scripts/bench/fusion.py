@@ -17,9 +17,11 @@ from scipy.spatial.transform import Rotation
 from geoposition.arrays import FloatArray
 from geoposition.scripts.bench.machine import installed
 from geoposition.scripts.bench.measure import Case, Contender, Missing
-from geoposition.sensors.attitude_determination import ekf, factor_graph, smooth
 from geoposition.sensors.attitude_determination.estimate import AttitudeEstimate
+from geoposition.sensors.attitude_determination.filters import ekf
+from geoposition.sensors.attitude_determination.graph import factor_graph
 from geoposition.sensors.attitude_determination.settings import FusionSettings, GyroModel
+from geoposition.sensors.attitude_determination.smoothers import smooth
 from geoposition.sensors.gyro import simulate_increments
 from geoposition.sensors.kinematics import attitude_of_rate, integrated_rate_rad
 from geoposition.sensors.star_sensor import noisy_quat_xyzw

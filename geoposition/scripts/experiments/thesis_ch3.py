@@ -26,13 +26,13 @@ from geoposition.scripts.experiments.monte_carlo import (
     simulate,
     without_noise,
 )
-from geoposition.sensors.attitude_determination.bound import bound_rms_rad
-from geoposition.sensors.attitude_determination.complementary import run_complementary
-from geoposition.sensors.attitude_determination.forward import ForwardPass, run_forward
+from geoposition.sensors.attitude_determination.filters.complementary import run_complementary
+from geoposition.sensors.attitude_determination.filters.forward import ForwardPass, run_forward
+from geoposition.sensors.attitude_determination.filters.ukf import run_unscented
+from geoposition.sensors.attitude_determination.monte_carlo.bound import bound_rms_rad
 from geoposition.sensors.attitude_determination.settings import FusionSettings
-from geoposition.sensors.attitude_determination.smooth import smooth_timeline
+from geoposition.sensors.attitude_determination.smoothers.smooth import smooth_timeline
 from geoposition.sensors.attitude_determination.timeline import Timeline
-from geoposition.sensors.attitude_determination.ukf import run_unscented
 from geoposition.sensors.kinematics import quat_product_xyzw
 from geoposition.sensors.telemetry import GyroNoise, GyroParameters
 

@@ -35,9 +35,16 @@ from geoposition.scripts.experiments.thesis_tables import (
     parameter_vector,
     rms_row,
 )
-from geoposition.sensors.attitude_determination import factor_graph
-from geoposition.sensors.attitude_determination.batch import BatchMethod, BatchResult, run_batch
-from geoposition.sensors.attitude_determination.bound import bound_rms_rad, expected_rms_rad
+from geoposition.sensors.attitude_determination.graph import factor_graph
+from geoposition.sensors.attitude_determination.monte_carlo.batch import (
+    BatchMethod,
+    BatchResult,
+    run_batch,
+)
+from geoposition.sensors.attitude_determination.monte_carlo.bound import (
+    bound_rms_rad,
+    expected_rms_rad,
+)
 from geoposition.sensors.attitude_determination.settings import FusionSettings
 from geoposition.sensors.gyro import draw_parameters
 from geoposition.sensors.telemetry import GyroNoise, GyroParameters

@@ -10,8 +10,8 @@ import numpy as np
 
 from geoposition.arrays import FloatArray
 from geoposition.scripts.experiments.monte_carlo import ARCSEC_RAD, DEG_H_RAD_S
-from geoposition.sensors.attitude_determination.batch import Probe
 from geoposition.sensors.attitude_determination.estimate import STATE_NAMES
+from geoposition.sensors.attitude_determination.monte_carlo.batch import Probe
 from geoposition.sensors.telemetry import GyroParameters
 
 Axes: TypeAlias = tuple[float, float, float]

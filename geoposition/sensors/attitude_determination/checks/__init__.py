@@ -1,0 +1,1 @@
+"""Telemetry before it is used: cleaning, axis angles, the gyro against the stars, conventions."""

@@ -1,0 +1,1 @@
+"""Estimates from the past: extended and unscented Kalman filter, complementary filter."""

@@ -1,0 +1,1 @@
+"""The batch estimate: a factor graph of stars, gyro and their constants."""

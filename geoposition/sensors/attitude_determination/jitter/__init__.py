@@ -1,0 +1,1 @@
+"""Vibrations of the attitude: frequency, amplitude, phase."""

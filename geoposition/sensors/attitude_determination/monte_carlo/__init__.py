@@ -1,0 +1,1 @@
+"""Many runs at once, and the bound that no estimator beats."""

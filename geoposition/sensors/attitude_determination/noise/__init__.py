@@ -1,0 +1,1 @@
+"""How noisy stars and gyro are, from the data."""

@@ -1,0 +1,1 @@
+"""Spectra, the lines in them, and filters without a phase."""

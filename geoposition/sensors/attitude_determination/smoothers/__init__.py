@@ -1,0 +1,1 @@
+"""Estimates from past and future: Rauch-Tung-Striebel, two filters."""

@@ -1,0 +1,1 @@
+"""Attitude from one epoch: vectors, several heads, means."""
