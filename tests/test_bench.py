@@ -18,7 +18,7 @@ from geoposition.scripts.bench.measure import Case, CaseResult, Contender, Missi
 
 KEYS = {
     "direct", "direct-peers", "inverse", "inverse-peers", "dem", "dem-peers",
-    "rpc-project", "rpc-locate", "rpc-dem", "rpc-fit", "pair-rays", "pair",
+    "rpc-project", "rpc-locate", "rpc-dem", "rpc-fit", "pair-rays", "pair", "pair-covariance",
 }  # fmt: skip
 TARGETS = {
     "direct": 12.0,
@@ -30,6 +30,7 @@ TARGETS = {
     "rpc-fit": 0.032 / 0.06,
     "pair-rays": 5.0,
     "pair": 5.0,
+    "pair-covariance": 3.0,
 }
 Quick: TypeAlias = tuple[list[CaseResult], dict[str, Any]]
 PEERS = ("usgscsm", "ASGARD", "pyrugged", "shareloc", "GDAL", "rpcm")

@@ -7,14 +7,13 @@ row has unit noise. A group's null-space rows are A (n, q, p) and r (n, q) with 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from geoposition.adjust.point_sets import Group, PointSet
-from geoposition.adjust.residual_kernels import eliminate
+from geoposition.adjust.residual_kernels import back_substitute, eliminate, fill_rows
 from geoposition.adjust.residuals import ImageEquations
 from geoposition.adjust.sights import Sights
 from geoposition.arrays import FloatArray, IntArray
@@ -46,19 +45,18 @@ class Linear:
 
     def step_m(self, dz: FloatArray) -> FloatArray:
         """Movement (n, 3) of the points when all unknowns move by `dz`."""
-        right = self.top @ dz[self.columns] + self.top_r
-        safe = np.where(self.strong[:, None, None], self.triangle, np.eye(3))
-        solved: FloatArray = np.linalg.solve(safe, right[..., None])[..., 0]
-        return np.where(self.strong[:, None], solved, 0.0)
+        right = (self.top @ dz[self.columns] + self.top_r)[..., None]
+        back_substitute(self.triangle, right, self.strong)
+        return right[..., 0]
 
     def point_covariance(self, covariance: FloatArray) -> FloatArray:
         """Covariance (n, 3, 3), ECEF, of points whose own noise is not in `covariance` of z."""
-        safe = np.where(self.strong[:, None, None], self.triangle, np.eye(3))
-        inverse = np.linalg.inv(safe)
-        by_unknown = inverse @ self.top
+        right = np.concatenate([np.broadcast_to(np.eye(3), (len(self.top), 3, 3)), self.top], 2)
+        back_substitute(self.triangle, right, self.strong)
+        own, by_unknown = right[:, :, :3], right[:, :, 3:]
         some = covariance[np.ix_(self.columns, self.columns)]
-        result: FloatArray = inverse @ inverse.transpose(0, 2, 1)
-        result = result + by_unknown @ some @ by_unknown.transpose(0, 2, 1)
+        moved = by_unknown @ some
+        result: FloatArray = own @ own.transpose(0, 2, 1) + moved @ by_unknown.transpose(0, 2, 1)
         return result
 
 
@@ -98,13 +96,12 @@ def whitened_rows(
     work = np.zeros((n, 2 * m + max(k, 3 - 2 * m), 3 + len(columns) + 1))
     ground = points.ecef_m[which]
     for a, image in enumerate(group.images):
-        some = _taken(points.sights, rows[:, a])
+        some = taken(points.sights, rows[:, a])
         residual, by_ground, jacobian = equations.images[image].evaluate(some, ground, theta)
-        root = points.root[rows[:, a]]
-        two = slice(2 * a, 2 * a + 2)
-        work[:, two, :3] = root @ by_ground
-        work[:, two, 3 + places[a]] = root @ jacobian
-        work[:, two, -1] = (root @ residual[..., None])[..., 0]
+        of_root = rows[:, a] if len(points.root) > 1 else np.zeros(n, dtype=np.int64)
+        fill_rows(
+            work, 2 * a, points.root, of_root, by_ground, jacobian, residual, places[a]
+        )
     if known and k:
         root = points.known_root[which]
         work[:, 2 * m : 2 * m + k, :3] = root
@@ -133,42 +130,38 @@ def linearise(
     theta = equations.theta(z)
     n, p = len(group.points), len(columns)
     S = equations.S[np.ix_(columns, columns)]
-    parts: list[FloatArray] = []
+    out: list[FloatArray] = []
     for low in range(0, n, _CHUNK):
         part = slice(low, min(low + _CHUNK, n))
         work = whitened_rows(equations, points, group, part, theta, known)
         eliminate(work)
-        parts.append(work)
-    work = parts[0] if len(parts) == 1 else np.concatenate(parts)
-    diagonal = np.abs(work[:, [0, 1, 2], [0, 1, 2]])
+        if not out:
+            q = work.shape[1] - 3
+            shapes = [(n, q, p), (n, q), (n, 3, 3), (n, 3, p), (n, 3)]
+            out = [np.empty(shape) for shape in shapes]
+        out[0][part] = _scaled(work[:, 3:, 3 : 3 + p], S)
+        out[1][part] = work[:, 3:, -1]
+        out[2][part] = work[:, :3, :3]
+        out[3][part] = _scaled(work[:, :3, 3 : 3 + p], S)
+        out[4][part] = work[:, :3, -1]
+    A, r, triangle, top, top_r = out
+    diagonal = np.abs(triangle[:, [0, 1, 2], [0, 1, 2]])
     strong = diagonal.min(axis=1) > _WEAK * diagonal.max(axis=1)
-    return Linear(
-        group,
-        columns,
-        np.ascontiguousarray(work[:, 3:, 3 : 3 + p] @ S),
-        np.ascontiguousarray(work[:, 3:, -1]),
-        strong,
-        np.ascontiguousarray(work[:, :3, :3]),
-        work[:, :3, 3 : 3 + p] @ S,
-        np.ascontiguousarray(work[:, :3, -1]),
-    )
+    return Linear(group, columns, A, r, strong, triangle, top, top_r)
 
 
-def linearise_all(
-    equations: Equations,
-    sets: Sequence[tuple[PointSet, Sequence[Group]]],
-    z: FloatArray,
-    *,
-    known: bool = True,
-) -> list[list[Linear]]:
-    """Linearise each set's groups at `z`."""
-    return [
-        [linearise(equations, points, group, z, known=known) for group in several]
-        for points, several in sets
-    ]
+def _scaled(by_unknown: FloatArray, S: FloatArray) -> FloatArray:
+    """By the unknowns in units of the prior, from those in their own."""
+    diagonal = np.diagonal(S)
+    if np.array_equal(S, np.diag(diagonal)):
+        return by_unknown * diagonal
+    n, r, p = by_unknown.shape
+    result: FloatArray = (np.ascontiguousarray(by_unknown).reshape(-1, p) @ S).reshape(n, r, p)
+    return result
 
 
-def _taken(sights: Sights, rows: IntArray) -> Sights:
+def taken(sights: Sights, rows: IntArray) -> Sights:
+    """Return the sights of `rows`."""
     return Sights(
         sights.image_px[rows],
         sights.origin_ecef_m[rows],

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from geoposition.adjust.adjustment import PointResults, Status
-from geoposition.adjust.linear import Equations, linearise
+from geoposition.adjust.factors import GraphSolution
+from geoposition.adjust.linear import Equations, Linear, linearise, taken
 from geoposition.adjust.point_sets import Group, PointSet
 from geoposition.adjust.robust import redundancy, statistics
-from geoposition.adjust.solve import Solved
-from geoposition.arrays import BoolArray, FloatArray, IntArray
+from geoposition.arrays import BoolArray, FloatArray
 from geoposition.ellipsoid import ecef_to_geodetic, enu_axes
-from geoposition.flags import has_result
-from geoposition.adjust.factors import GraphSolution
 
-_STEPS = 3
+_MOST_STEPS = 4
+_STEP_M = 1e-3
+_FARTHEST_M = 1e6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alone:
+    """Points (n, 3), ECEF, from the images alone, NaN where undetermined; equations there."""
+
+    ecef_m: FloatArray
+    linear: Linear
 
 
 def results_of(
@@ -27,90 +37,78 @@ def results_of(
     limits: list[FloatArray],
 ) -> PointResults:
     """Results of one set; `used` and `limits` per group."""
-    n, m = len(points), len(points.product)
-    nan = np.full((n, 3), np.nan)
-    status = np.full(n, Status.UNUSABLE, dtype=np.uint8)
-    statistic, limit = np.full(n, np.nan), np.full(n, np.nan)
-    freedom, redundant = np.zeros(n, dtype=np.int64), np.zeros(n)
-    ground, cov = nan.copy(), np.full((n, 3, 3), np.nan)
-    after, before = nan.copy(), nan.copy()
-    given = points.role != "tie"
+    n = len(points)
+    out = _empty(points)
     still = GraphSolution(np.zeros(len(z)), solution.covariance, solution.info_root)
+    zero = np.zeros(len(z))
+    tie = points.role == "tie"
     for g, group in enumerate(several):
         at = group.points
-        linear = linearise(equations, points, group, z)
-        q = linear.r.shape[1]
-        statistic[at] = statistics([linear], still, [used[g]])[0] if q else 0.0
-        redundant[at] = redundancy([linear], solution.covariance, [used[g]])[0] if q else 0.0
-        freedom[at], limit[at] = q, limits[g]
-        good = used[g] & linear.strong
-        status[at[linear.strong]] = np.where(good, Status.USED, Status.REJECTED)[linear.strong]
+        alone = intersected(equations, points, group, z)
+        known = points.known_root.shape[1] > 0
+        linear = linearise(equations, points, group, z) if known else alone.linear
+        strong = linear.strong
+        out.statistic[at] = statistics([linear], still, [used[g]])[0]
+        out.redundancy[at] = redundancy([linear], solution.covariance, [used[g]])[0]
+        out.freedom[at], out.limit[at] = linear.r.shape[1], limits[g]
         if points.role == "check":
-            status[at[linear.strong]] = Status.CHECK
-        alone, found = _intersected(equations, points, group, z)
-        determined = alone.strong & np.isfinite(found[:, 0])
-        ground[at[determined]] = ecef_to_geodetic(found[determined])
-        covariance = alone.point_covariance(solution.covariance)
-        axes = enu_axes(ecef_to_geodetic(np.where(determined[:, None], found, points.ecef_m[at])))
-        turned = axes.transpose(0, 2, 1) @ covariance @ axes
-        cov[at[determined]] = turned[determined]
-        if given:
-            after[at] = _enu(found - points.known_ecef_m[at], points.known_ecef_m[at])
-            _, first = _intersected(equations, points, group, np.zeros(len(z)))
-            before[at] = _enu(first - points.known_ecef_m[at], points.known_ecef_m[at])
-            after[at[~determined]] = np.nan
-    residual, residual_before = _image_residuals(equations, points, several, z, ground)
+            out.status[at[strong]] = Status.CHECK
+        else:
+            out.status[at[strong]] = np.where(used[g], Status.USED, Status.REJECTED)[strong]
+        found = np.isfinite(alone.ecef_m[:, 0])
+        geodetic = ecef_to_geodetic(np.where(found[:, None], alone.ecef_m, points.ecef_m[at]))
+        axes = enu_axes(geodetic)
+        covariance = axes.transpose(0, 2, 1) @ alone.linear.point_covariance(solution.covariance)
+        out.geodetic[at[found]] = geodetic[found]
+        out.covariance_enu_m2[at[found]] = (covariance @ axes)[found]
+        given = points.known_ecef_m[at]
+        first = intersected(equations, points, group, zero)
+        if tie:
+            place, place_before = alone.ecef_m, first.ecef_m
+        else:
+            place, place_before = given, given
+            out.error_enu_m[at] = _enu(alone.ecef_m - given, given)
+            out.error_before_enu_m[at] = _enu(first.ecef_m - given, given)
+        _residuals(out.residual_px, equations, points, group, z, place)
+        _residuals(out.residual_before_px, equations, points, group, zero, place_before)
     back = np.argsort(points.source)
-    return PointResults(
-        ids=points.ids,
-        status=status,
-        statistic=statistic,
-        freedom=freedom,
-        limit=limit,
-        redundancy=redundant,
-        geodetic=ground,
-        error_enu_m=after,
-        error_before_enu_m=before,
-        covariance_enu_m2=cov,
-        point=points.point[back],
-        product=points.product[back],
-        image_px=points.image_px[back],
-        residual_px=residual[back],
-        residual_before_px=residual_before[back],
-    )
+    rows = ("point", "product", "image_px", "residual_px", "residual_before_px")
+    assert len(out.status) == n
+    return replace(out, **{name: getattr(out, name)[back] for name in rows})
 
 
-def _intersected(equations: Equations, points: PointSet, group: Group, z: FloatArray):  # type: ignore[no-untyped-def]
-    """Points from images alone, ECEF, with their last linear equations."""
+def intersected(equations: Equations, points: PointSet, group: Group, z: FloatArray) -> Alone:
+    """Points of `group` from the images alone; one in a single image keeps its height."""
     at = group.points
     ecef = points.ecef_m.copy()
     linear = linearise(equations, points, group, z, known=False)
-    for _ in range(_STEPS):
-        step = linear.step_m(np.zeros(len(z)))
-        ecef[at] += np.where(np.abs(step) < 1e6, step, 0.0)
-        moved = _placed(points, ecef)
-        linear = linearise(equations, moved, group, z, known=False)
-        if np.max(np.abs(step), initial=0.0) < 1e-4:
+    zero = np.zeros(len(z))
+    for _ in range(_MOST_STEPS):
+        step = linear.step_m(zero)
+        near = np.linalg.norm(step, axis=1) < _FARTHEST_M
+        ecef[at[near]] += step[near]
+        if not np.any(near) or np.max(np.abs(step[near])) < _STEP_M:
             break
-    found = np.where(linear.strong[:, None], ecef[at], np.nan)
-    return linear, found
+        linear = linearise(
+            equations, replace(points, ecef_m=ecef), group, z, known=False
+        )
+    return Alone(np.where(linear.strong[:, None], ecef[at], np.nan), linear)
 
 
-def _placed(points: PointSet, ecef_m: FloatArray) -> PointSet:
-    return PointSet(
-        points.role,
-        points.ids,
-        points.start,
-        points.product,
-        points.source,
-        points.image_px,
-        points.root,
-        points.known_root,
-        points.known_ecef_m,
-        ecef_m,
-        points.sights,
-        points.point_flag,
-    )
+def _residuals(
+    out: FloatArray,
+    equations: Equations,
+    points: PointSet,
+    group: Group,
+    z: FloatArray,
+    ecef_m: FloatArray,
+) -> None:
+    """Observed less projected ground `ecef_m` (n, 3) of the group's points, into their rows."""
+    theta = equations.theta(z)
+    for a, image in enumerate(group.images):
+        rows = group.rows[:, a]
+        sights = taken(points.sights, rows)
+        out[rows] = equations.images[image].evaluate(sights, ecef_m, theta)[0]
 
 
 def _enu(off: FloatArray, at_ecef: FloatArray) -> FloatArray:
@@ -118,44 +116,34 @@ def _enu(off: FloatArray, at_ecef: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("nji,nj->ni", axes, off))
 
 
-def _image_residuals(
-    equations: Equations,
-    points: PointSet,
-    several: tuple[Group, ...],
-    z: FloatArray,
-    ground: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Residuals (rows, 2) of given, or of intersected, positions: after and before."""
-    out = np.full((2, len(points.product), 2), np.nan)
-    for which, at in enumerate((z, np.zeros(len(z)))):
-        for group in several:
-            place = points.ecef_m
-            if points.role == "tie" and which == 1:
-                _, found = _intersected(equations, points, group, at)
-                place = points.ecef_m.copy()
-                place[group.points] = found
-            elif points.role != "tie":
-                place = points.known_ecef_m
-            for a, image in enumerate(group.images):
-                rows: IntArray = group.rows[:, a]
-                some = points.sights
-                taken = type(some)(
-                    some.image_px[rows],
-                    some.origin_ecef_m[rows],
-                    some.direction_ecef[rows],
-                    some.scale[rows],
-                    some.flag[rows],
-                )
-                residual, _, _ = equations.images[image].evaluate(
-                    taken, place[points.point[rows]], equations.theta(at)
-                )
-                out[which, rows] = residual
-    return out[0], out[1]
+def _empty(points: PointSet) -> PointResults:
+    """Results of points of which nothing is known yet, rows in the set's order."""
+    n, m = len(points), len(points.product)
+
+    def nan(*shape: int) -> FloatArray:
+        return np.full(shape, np.nan)
+
+    return PointResults(
+        ids=points.ids,
+        status=np.full(n, Status.UNUSABLE, dtype=np.uint8),
+        statistic=nan(n),
+        freedom=np.zeros(n, dtype=np.int64),
+        limit=nan(n),
+        redundancy=np.zeros(n),
+        geodetic=nan(n, 3),
+        error_enu_m=nan(n, 3),
+        error_before_enu_m=nan(n, 3),
+        covariance_enu_m2=nan(n, 3, 3),
+        point=points.point,
+        product=points.product,
+        image_px=points.image_px,
+        residual_px=nan(m, 2),
+        residual_before_px=nan(m, 2),
+    )
 
 
-def nothing(role_ids: np.ndarray | None = None) -> PointResults:  # type: ignore[type-arg]
+def nothing() -> PointResults:
     """Results of no points."""
-    del role_ids
     none, three = np.empty(0), np.empty((0, 3))
     whole = np.empty(0, dtype=np.int64)
     return PointResults(

@@ -7,7 +7,7 @@ a set of images is also what one factor of the graph joins.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -33,7 +33,7 @@ class PointSet:
     """Points (n) of one role and their observations (rows), sorted by point.
 
     `start` (n + 1) delimits each point's rows; `source` (rows) are the rows of the given table.
-    `root` (rows, 2, 2) is L⁻¹ of each image point's covariance. What is known of a point itself
+    `root` (rows or 1, 2, 2) is L⁻¹ of the image points' covariance, one for all if equal. What is known of a point itself
     stands in `known_root` (n, k, 3), acting on ECEF metres, and `known_ecef_m` (n, 3): k is 3
     for control, 1 for a height, 0 for nothing. `ecef_m` (n, 3) is where the point is now,
     `sights` has one entry per image, of its rows `rows_of[image]`, `flag` (rows).
@@ -72,20 +72,7 @@ class PointSet:
         sights = self.sights
         if np.any(np.abs(new - old) > _HEIGHT_MOVED_M):
             sights = all_sights(models, self.product, self.image_px, new[self.point])
-        return PointSet(
-            self.role,
-            self.ids,
-            self.start,
-            self.product,
-            self.source,
-            self.image_px,
-            self.root,
-            self.known_root,
-            self.known_ecef_m,
-            ecef_m,
-            sights,
-            self.point_flag,
-        )
+        return replace(self, ecef_m=ecef_m, sights=sights)
 
 
 def all_sights(
@@ -209,7 +196,7 @@ def _roots(image: TiePoints, order: IntArray, sigma_px: ArrayLike) -> FloatArray
     sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), (2,))
     if not np.all((sigma > 0.0) & np.isfinite(sigma)):
         raise ArgumentError(f"sigma_px: positive pixels expected, got {sigma}")
-    return np.broadcast_to(np.diag(1.0 / sigma), (len(order), 2, 2))
+    return np.diag(1.0 / sigma)[None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

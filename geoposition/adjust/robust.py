@@ -145,15 +145,15 @@ def _chi_square(
     group: Linear, residual: FloatArray, covariance: FloatArray, used: BoolArray
 ) -> FloatArray:
     some = covariance[np.ix_(group.columns, group.columns)]
-    shown = (group.A @ some) @ group.A.transpose(0, 2, 1)
-    sign = np.where(used, -1.0, 1.0)[:, None, None]
+    sign = np.where(used, -1.0, 1.0)
     q = residual.shape[1]
-    cov = np.eye(q) + sign * shown
     if q == 1:
-        v = cov[:, 0, 0]
+        row = group.A[:, 0]
+        v = 1.0 + sign * np.sum((row @ some) * row, axis=1)
         ok = v > _LEAST_EIGENVALUE
         return np.where(ok, residual[:, 0] ** 2 / np.where(ok, v, 1.0), 0.0)
-    values, vectors = np.linalg.eigh(cov)
+    shown = (group.A @ some) @ group.A.transpose(0, 2, 1)
+    values, vectors = np.linalg.eigh(np.eye(q) + sign[:, None, None] * shown)
     parts = np.einsum("nqk,nq->nk", vectors, residual)
     ok = values > _LEAST_EIGENVALUE
     return np.asarray(np.sum(np.where(ok, parts**2 / np.where(ok, values, 1.0), 0.0), axis=1))
@@ -166,7 +166,8 @@ def redundancy(
     out = []
     for g, u in zip(groups, used, strict=True):
         some = covariance[np.ix_(g.columns, g.columns)]
-        taken = np.einsum("nqa,ab,nqb->n", g.A, some, g.A, optimize=True)
+        flat = g.A.reshape(-1, len(g.columns))
+        taken = np.sum((flat @ some) * flat, axis=1).reshape(len(g.r), -1).sum(axis=1)
         out.append(np.where(u, g.r.shape[1] - taken, 0.0))
     return out
 

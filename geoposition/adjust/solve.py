@@ -189,7 +189,9 @@ def solve(
         total = sum(int(u.sum()) for u in found.used)
         history.append(Iteration(cost, step, total, sum(len(u) for u in found.used) - total))
         before = found
-        if step < _STEP_SIGMA and same and moved < _POINT_STEP_M:
+        # Gauss-Newton: what comes next is smaller than this step by what this is than the last.
+        ahead = step * step / history[-2].step_sigma if len(history) > 1 and step < 0.1 else step
+        if min(step, ahead) < _STEP_SIGMA and same and moved < _POINT_STEP_M:
             return Solved(
                 z,
                 found.solution,

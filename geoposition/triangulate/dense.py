@@ -16,8 +16,9 @@ from geoposition.intersect import MIN_CONVERGENCE_RAD, PairIntersections, inters
 from geoposition.rays import Rays
 from geoposition.sensor_model import SensorModel
 from geoposition.triangulate.pair_kernel import weigh_pairs
+from geoposition.triangulate.part import error_fields
 from geoposition.triangulate.scale import TERMS, image_scale
-from geoposition.triangulate.solve import MORE_RAYS, RAY_TOLERANCE_M, error_fields
+from geoposition.triangulate.solve import MORE_RAYS, RAY_TOLERANCE_M
 from geoposition.triangulate.start import height_range_m, height_start
 
 _CHUNK: Final = 1 << 15

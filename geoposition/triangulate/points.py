@@ -30,16 +30,14 @@ from geoposition.observations import Ids, TiePoints
 from geoposition.sensor_model import SensorModel
 from geoposition.triangulate.blunders import Observed, find_blunders
 from geoposition.triangulate.dense import triangulate_pairs
-from geoposition.triangulate.solve import (
-    RAY_TOLERANCE_M,
-    STEP_TOLERANCE_M,
+from geoposition.triangulate.part import (
     Part,
     Scene,
     error_fields,
     image_scales,
     inverse_roots,
-    solve_part,
 )
+from geoposition.triangulate.solve import RAY_TOLERANCE_M, STEP_TOLERANCE_M, solve_part
 
 __all__ = [
     "BLUNDER_FACTOR",

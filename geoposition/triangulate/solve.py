@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
-from geoposition.arrays import BoolArray, FlagArray, FloatArray, IntArray
-from geoposition.ellipsoid import enu_axes
-from geoposition.error_budget.model_error import ModelError
+from geoposition.arrays import FlagArray, FloatArray
 from geoposition.flags import Flag, has_result
-from geoposition.observations import TiePoints
 from geoposition.rays import Rays
-from geoposition.sensor_model import SensorModel
 from geoposition.triangulate import kernels
-from geoposition.triangulate.scale import (
-    SCALE_SHAPE,
-    TERMS,
-    error_field,
-    field_covariance,
-    image_scale,
-)
-from geoposition.triangulate.start import HeightStart, height_range_m, height_start
+from geoposition.triangulate.part import Part, PartResult, Scene
+from geoposition.triangulate.start import height_range_m
+from geoposition.triangulate.weights import model_covariances, systematic_part, with_errors
 
 RAY_TOLERANCE_M: Final = 1.0
 """How far the height may move before lines of sight are made anew."""
@@ -33,101 +22,6 @@ MORE_RAYS: Final = 3
 """How often lines of sight are made anew at most."""
 
 _MOST_STEPS: Final = 6
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PartResult:
-    """What `IntersectedPoints` holds, for some points; observations in the part's order."""
-
-    geodetic: FloatArray
-    covariance_enu_m2: FloatArray
-    residual_px: FloatArray
-    rays: IntArray
-    convergence_rad: FloatArray
-    flag: FlagArray
-    image_residual_px: FloatArray
-    redundancy: FloatArray
-    systematic_enu_m2: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class Scene:
-    """The models, their image scales, and the height cubics of the pairs met so far.
-
-    `errors` (models, TERMS, 3) are the `error_field`s of the models' own errors, if any.
-    """
-
-    models: tuple[SensorModel, ...]
-    fields: FloatArray
-    min_convergence_rad: float
-    errors: FloatArray | None = None
-    starts: dict[tuple[int, int], HeightStart | None] = field(default_factory=dict)
-
-    def start_of(self, first: int, second: int) -> HeightStart | None:
-        """Return the height cubic of two models, fitted when first asked for."""
-        if (first, second) not in self.starts:
-            fitted = height_start(self.models[first], self.models[second])
-            self.starts[first, second] = fitted
-        return self.starts[first, second]
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """Observations of some points, by point; `root` (1 or observations, 2, 2) is L⁻¹."""
-
-    start: IntArray
-    product: IntArray
-    image_px: FloatArray
-    root: FloatArray
-
-    @property
-    def root_step(self) -> int:
-        """0 where one `root` serves all observations, else 1."""
-        return 0 if len(self.root) == 1 else 1
-
-    @property
-    def point(self) -> IntArray:
-        """Point of each observation."""
-        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
-
-    def of_points(self, points: IntArray) -> tuple[Part, IntArray]:
-        """Return the part with `points` alone, and its observations' rows in this one."""
-        counts = np.diff(self.start)[points]
-        start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        rows = np.repeat(self.start[points] - start[:-1], counts) + np.arange(start[-1])
-        root = self.root if self.root_step == 0 else self.root[rows]
-        return Part(start, self.product[rows], self.image_px[rows], root), rows
-
-
-def image_scales(models: Sequence[SensorModel], ties: TiePoints) -> FloatArray:
-    """Image scales (models, 2 + TERMS, 6) of the models that were used at all."""
-    fields = np.zeros((len(models), *SCALE_SHAPE))
-    for k in np.unique(ties.product):
-        fields[k] = image_scale(models[int(k)])
-    return fields
-
-
-def error_fields(
-    models: Sequence[SensorModel], errors: Sequence[ModelError | None], fields: FloatArray
-) -> FloatArray | None:
-    """Error fields (models, TERMS, 3) of the models in use; None where no error is stated."""
-    stated = [
-        (k, error)
-        for k, error in enumerate(errors)
-        if error is not None and not error.nothing and np.any(fields[k])
-    ]
-    if not stated:
-        return None
-    out = np.zeros((len(models), TERMS, 3))
-    for k, error in stated:
-        out[k] = error_field(models[k], error, fields[k])
-    return out
-
-
-def inverse_roots(covariance_px2: FloatArray) -> FloatArray:
-    """L⁻¹ (n, 2, 2) of covariances L Lᵀ."""
-    inverse = np.linalg.inv(np.linalg.cholesky(covariance_px2))
-    return np.ascontiguousarray(inverse, dtype=np.float64)
 
 
 def _first_heights(scene: Scene, part: Part) -> FloatArray:
@@ -147,50 +41,6 @@ def _first_heights(scene: Scene, part: Part) -> FloatArray:
             part.image_px[first[mine]], part.image_px[last[mine]]
         )
     return height
-
-
-def _systematic(scene: Scene, part: Part, height_m: FloatArray) -> FloatArray | None:
-    """Covariances (observations, 2, 2) of the models' errors in the images; None without any."""
-    if scene.errors is None:
-        return None
-    out = np.zeros((len(part.product), 2, 2))
-    height = height_m[part.point]
-    for k in np.unique(part.product):
-        mine = part.product == k
-        out[mine] = field_covariance(
-            scene.errors[k], scene.fields[k], part.image_px[mine], height[mine]
-        )
-    # An image point that is none must not spoil a Cholesky factor; its ray is flagged anyway.
-    out[~np.isfinite(out).all(axis=(1, 2))] = 0.0
-    return out
-
-
-def with_errors(part: Part, systematic_px2: FloatArray) -> Part:
-    """Return the part with weights of image noise and models' errors together."""
-    inverse = np.linalg.inv(part.root)
-    noise = inverse @ inverse.transpose(0, 2, 1)
-    return replace(part, root=inverse_roots(noise + systematic_px2))
-
-
-def systematic_part(
-    part: Part,
-    rows: FloatArray,
-    used: BoolArray,
-    systematic_px2: FloatArray,
-    found: PartResult,
-) -> FloatArray:
-    """Covariance (n, 3, 3), east, north, up, from the models' errors alone.
-
-    C (sum Aᵀ L⁻¹ S L⁻ᵀ A) C with the covariance C of all errors together, from the weights that
-    were used, and S the models' part of it in an image.
-    """
-    lon_lat = np.where(np.isfinite(found.geodetic), found.geodetic, 0.0)
-    local = np.where(used[:, None, None], rows, 0.0) @ enu_axes(lon_lat)[part.point]
-    whitened = part.root @ systematic_px2 @ part.root.transpose(0, 2, 1)
-    each = local.transpose(0, 2, 1) @ whitened @ local
-    total = np.add.reduceat(each, part.start[:-1], axis=0)
-    covariance = found.covariance_enu_m2
-    return np.asarray(covariance @ total @ covariance, dtype=np.float64)
 
 
 def _rays(scene: Scene, part: Part, height_m: FloatArray) -> Rays:
@@ -255,7 +105,7 @@ def solve_part(scene: Scene, part: Part) -> PartResult:
     )
     ray_flag = np.empty(rows_of_part, dtype=np.uint8)
     height = _first_heights(scene, part)
-    systematic_px2 = _systematic(scene, part, height)
+    systematic_px2 = model_covariances(scene, part, height)
     noisy = part
     if systematic_px2 is not None:
         part = with_errors(noisy, systematic_px2)
@@ -286,7 +136,7 @@ def solve_part(scene: Scene, part: Part) -> PartResult:
             break
     if systematic_px2 is not None:
         # Once more, at the heights found.
-        systematic_px2 = _systematic(scene, part, height)
+        systematic_px2 = model_covariances(scene, part, height)
         assert systematic_px2 is not None
         part = with_errors(noisy, systematic_px2)
     out.image_residual_px[:] = _least_residuals(
