@@ -43,12 +43,12 @@ def told() -> tuple[Parallax, dict[str, Sinusoid]]:
     steady, _ = steady_model(taken)
     wide = replace(steady, camera=ideal_camera(steady.camera)[0])
     rng = np.random.default_rng(5)
-    ground = fractal_field((LINES, wide.shape[1]), (1.0, 1.0), 4.0, 1.6, rng)
+    ground = fractal_field((LINES, wide.shape[1]), (1.0, 1.0), 5.0, 1.6, rng)
     texture = (200.0 + 1600.0 * ground).astype(np.float32)[None]
     images = []
     for number in range(2):
         mapping = map_models(single_ccd(taken, number), wide, 300.0)
-        pixels, valid = Resampler("cubic").rows(texture, mapping.rows(0, LINES), 300)
+        pixels, valid = Resampler("lanczos").rows(texture, mapping.rows(0, LINES), 300)
         noise = rng.normal(0.0, 4.0, pixels[0].shape)
         images.append(np.where(valid != 0, pixels[0], 0.0) + noise)
     first = single_ccd(steady, 0)

@@ -19,7 +19,7 @@ from geoposition.adjust.sights import Sights
 from geoposition.arrays import FloatArray, IntArray
 from geoposition.ellipsoid import ecef_to_geodetic, enu_axes
 
-_CHUNK: Final = 8192
+_CHUNK: Final = 32768
 _WEAK: Final = 1e-4
 """Smallest over largest diagonal of a point's triangle below which it is not determined."""
 FIXED_HEIGHT_SIGMA_M: Final = 1e-3
@@ -99,9 +99,7 @@ def whitened_rows(
         some = taken(points.sights, rows[:, a])
         residual, by_ground, jacobian = equations.images[image].evaluate(some, ground, theta)
         of_root = rows[:, a] if len(points.root) > 1 else np.zeros(n, dtype=np.int64)
-        fill_rows(
-            work, 2 * a, points.root, of_root, by_ground, jacobian, residual, places[a]
-        )
+        fill_rows(work, 2 * a, points.root, of_root, by_ground, jacobian, residual, places[a])
     if known and k:
         root = points.known_root[which]
         work[:, 2 * m : 2 * m + k, :3] = root

@@ -89,9 +89,7 @@ def intersected(equations: Equations, points: PointSet, group: Group, z: FloatAr
         ecef[at[near]] += step[near]
         if not np.any(near) or np.max(np.abs(step[near])) < _STEP_M:
             break
-        linear = linearise(
-            equations, replace(points, ecef_m=ecef), group, z, known=False
-        )
+        linear = linearise(equations, replace(points, ecef_m=ecef), group, z, known=False)
     return Alone(np.where(linear.strong[:, None], ecef[at], np.nan), linear)
 
 

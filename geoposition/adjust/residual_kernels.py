@@ -95,7 +95,9 @@ def observe(
             # ... into the body, where the attitude's corrections do, and back to the Earth.
             for b in range(3):
                 d[b] = (
-                    R_body_camera[b, 0] * v[0] + R_body_camera[b, 1] * v[1] + R_body_camera[b, 2] * v[2]
+                    R_body_camera[b, 0] * v[0]
+                    + R_body_camera[b, 1] * v[1]
+                    + R_body_camera[b, 2] * v[2]
                 )
             for b in range(turns.shape[1] - 1, -1, -1):
                 _turned(d, turns[i, b, 0], turns[i, b, 1], turns[i, b, 2])
@@ -142,7 +144,9 @@ def observe(
                     by_mounting[i, a, b] = gx * camera[0, b] + gy * camera[1, b] + gz * camera[2, b]
                 for b in range(2):
                     by_tangent[i, a, b] = (
-                        far * along_axis * (jx * camera[0, b] + jy * camera[1, b] + jz * camera[2, b])
+                        far
+                        * along_axis
+                        * (jx * camera[0, b] + jy * camera[1, b] + jz * camera[2, b])
                     )
 
 

@@ -84,12 +84,12 @@ def _correlate(
                         f_tt += wt * t[j]
                         f_st += wt * s[j]
                         f_ss += ws * s[j]
-                    n += f_n
-                    ts += f_t
-                    ss += f_s
-                    tt += f_tt
-                    st += f_st
-                    so += f_ss
+                    n += float(f_n)
+                    ts += float(f_t)
+                    ss += float(f_s)
+                    tt += float(f_tt)
+                    st += float(f_st)
+                    so += float(f_ss)
                 if not (n >= least and n > 1.0):
                     continue
                 v_t, v_s = tt - ts * ts / n, so - ss * ss / n

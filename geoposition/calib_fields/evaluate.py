@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from geoposition.arrays import BoolArray, FloatArray, IntArray
 from geoposition.calib_fields.intervals import Cells, Estimate
@@ -46,6 +47,8 @@ _LEAST_POINTS: Final = 12
 _CE: Final = 0.9
 _NOISE_DOUBT: Final = 0.15
 """Relative uncertainty of the standard deviations that the matching states."""
+_DENSITY: Final = 0.06
+"""Share to either side of a quantile over which the density is taken."""
 _FOLDS: Final = 8
 _CELL_WINDOWS: Final = 2.5
 _PROFILE_BINS: Final = 60
@@ -157,8 +160,8 @@ def evaluate(
         )
     place, error = matches.model_px[used], matches.error_px[used]
     shift = matches.shift_en_m[used]
-    noise_px = np.diagonal(matches.covariance_px2[used], axis1=1, axis2=2)
-    noise_m2 = np.diagonal(matches.covariance_m2[used], axis1=1, axis2=2)
+    stated_px2 = np.diagonal(matches.covariance_px2[used], axis1=1, axis2=2)
+    stated_m2 = np.diagonal(matches.covariance_m2[used], axis1=1, axis2=2)
     window_px = matches.window_px * matches.pixel_m / float(np.mean(matches.ground_sample_m))
     cells = Cells.of(place, _CELL_WINDOWS * window_px)
     terms = relative_terms(options.relative, model, matches.ground[used], place)
@@ -166,11 +169,13 @@ def evaluate(
     residual = error - fitted(terms, error, everywhere)
     held = _held_out(place)
     left_out = error - fitted(terms, error, ~held)
+    noise_px2 = _noise(stated_px2, residual, place, window_px)
+    noise_m2 = _noise(stated_m2, shift - shift.mean(axis=0), place, window_px)
     estimates, raw = _absolute(cells, shift, noise_m2, options.reference_sigma_m)
     for k, name in enumerate(("bias_line_px", "bias_sample_px")):
         estimates[name] = cells.mean(error[:, k])
     freedom = 1.0 - 0.5 * terms.shape[-1] / len(place)
-    relative, relative_raw = _relative(cells, residual, noise_px, freedom)
+    relative, relative_raw = _relative(cells, residual, noise_px2, freedom)
     estimates |= relative
     raw |= relative_raw
     for k, name in enumerate(("v_x", "v_y")):
@@ -188,10 +193,7 @@ def evaluate(
         raw=raw,
         residual_px=residual,
         held_out=held,
-        noise_px=(
-            float(np.sqrt(noise_px[:, 0].mean())),
-            float(np.sqrt(noise_px[:, 1].mean())),
-        ),
+        noise_px=(float(np.sqrt(noise_px2[0])), float(np.sqrt(noise_px2[1]))),
         along=profile(place[:, 0], residual, _bins(place[:, 0], window_px)),
         across=profile(place[:, 1], residual, _bins(place[:, 1], window_px)),
         spectrum=_spectrum(matches, model, options, place, residual, detector, dependence),
@@ -215,15 +217,14 @@ def _absolute(
     estimates, raw = {}, {}
     for k, axis in enumerate("en"):
         mean = cells.mean(shift[:, k])
-        estimates[f"bias_{axis}_m"] = _widened(mean, reference_m)
-        square = _mean_square(cells, shift[:, k], noise_m2[:, k])
-        size = square.as_size()
-        # a constant error of the reference moves the root mean square by its share of the mean
-        share = abs(mean.value) / max(size.value, 1e-12)
-        estimates[f"rmse_{axis}_m"] = _widened(size, reference_m * min(share, 1.0))
+        estimates[f"bias_{axis}_m"] = mean.widened(reference_m)
+        square = _mean_square(cells, shift[:, k], noise_m2[k])
+        # what a constant error of the reference does to a mean square
+        moved = float(np.hypot(2.0 * mean.mean * reference_m, np.sqrt(2.0) * reference_m**2))
+        estimates[f"rmse_{axis}_m"] = square.widened(moved)
         raw[f"rmse_{axis}_m"] = float(np.sqrt(np.mean(shift[:, k] ** 2)))
     raw["ce90_m"] = float(np.quantile(np.hypot(*shift.T), _CE))
-    estimates["ce90_m"] = _widened(_circular(cells, shift, noise_m2), reference_m)
+    estimates["ce90_m"] = _circular(cells, shift, noise_m2).widened(reference_m)
     return estimates, raw
 
 
@@ -232,42 +233,57 @@ def _relative(
 ) -> tuple[dict[str, Estimate], dict[str, float]]:
     estimates, raw = {}, {}
     for k, axis in enumerate("xy"):
-        square = _mean_square(cells, residual[:, k], noise_px2[:, k], freedom)
-        estimates[f"m_{axis}"] = square.as_size()
+        estimates[f"m_{axis}"] = _mean_square(cells, residual[:, k], noise_px2[k], freedom)
         raw[f"m_{axis}"] = float(np.sqrt(np.mean(residual[:, k] ** 2)))
-    both = _mean_square(
-        cells, np.sqrt(np.sum(residual**2, axis=1)), np.sum(noise_px2, axis=1), freedom
+    estimates["relative_px"] = _mean_square(
+        cells, np.hypot(*residual.T), float(noise_px2.sum()), freedom
     )
-    estimates["relative_px"] = both.as_size()
     raw["relative_px"] = float(np.hypot(raw["m_x"], raw["m_y"]))
     return estimates, raw
 
 
-def _mean_square(
-    cells: Cells, error: FloatArray, noise: FloatArray, freedom: float = 1.0
-) -> Estimate:
-    """Mean square of errors without the matching's own variance."""
+def _noise(
+    stated: FloatArray, residual: FloatArray, place: FloatArray, window_px: float
+) -> FloatArray:
+    """Variance (2,) of the matching: as stated, or less where neighbours agree better than that.
+
+    Neighbours share lines as far as they can, so that a vibration does not count, but no pixels.
+    """
+    near = cKDTree(place).query_ball_point(place, 2.5 * window_px)
+    first, second = [], []
+    for k, others in enumerate(near):
+        away = place[others] - place[k]
+        apart = np.flatnonzero(np.abs(away).max(axis=1) >= window_px)
+        if apart.size:
+            first.append(k)
+            second.append(others[apart[int(np.argmin(np.abs(away[apart, 0])))]])
+    said: FloatArray = stated.mean(axis=0)
+    if len(first) < _LEAST_POINTS:
+        return said
+    difference = residual[first] - residual[second]
+    result: FloatArray = np.minimum(said, 0.5 * np.mean(difference**2, axis=0))
+    return result
+
+
+def _mean_square(cells: Cells, error: FloatArray, own: float, freedom: float = 1.0) -> Estimate:
+    """Mean square of errors without the matching's `own` variance."""
     found = cells.mean(error**2)
-    own = float(noise.mean())
     doubt = 2.0 * _NOISE_DOUBT * own
-    return Estimate(
-        max(found.value / freedom - own, 0.0), float(np.hypot(found.sigma, doubt)), found.freedom
-    )
+    mean = max(found.mean / freedom - own, 0.0)
+    return Estimate(mean, float(np.hypot(found.sigma, doubt)), found.freedom, squared=True)
 
 
-def _circular(cells: Cells, shift: FloatArray, noise_m2: FloatArray) -> Estimate:
+def _circular(cells: Cells, shift: FloatArray, own: FloatArray) -> Estimate:
     """CE90 of errors drawn together to their scatter without the matching's."""
     middle = shift.mean(axis=0)
-    scatter = shift.var(axis=0)
-    own = noise_m2.mean(axis=0)
-    shrink = np.sqrt(np.maximum(scatter - own, 0.0) / np.maximum(scatter, 1e-12))
+    scatter = np.maximum(shift.var(axis=0), 1e-12)
+    shrink = np.sqrt(np.maximum(scatter - own, 0.0) / scatter)
     size = np.hypot(*(middle + shrink * (shift - middle)).T)
     radius = float(np.quantile(size, _CE))
     # deviation of a quantile: that of the share below it, over the density there
     below = cells.mean((size <= radius).astype(np.float64))
-    low, high = np.quantile(size, [_CE - 0.06, _CE + 0.06])
-    slope = float(high - low) / 0.12
-    sampled = below.sigma * slope
+    low, high = np.quantile(size, [_CE - _DENSITY, _CE + _DENSITY])
+    sampled = below.sigma * float(high - low) / (2.0 * _DENSITY)
     # where all sizes are alike the mean's own deviation is left
     moved = max(cells.mean(shift[:, k]).sigma for k in (0, 1))
     doubt = _NOISE_DOUBT * float(own.mean()) / max(radius, float(np.sqrt(own.mean())), 1e-12)
@@ -278,16 +294,7 @@ def _difference(cells: Cells, left_out: FloatArray, held: BoolArray) -> Estimate
     """Mean over held-out points; the fit's own deviation counts as much as theirs."""
     there, here = cells.mean(left_out, held), cells.mean(left_out, ~held)
     sigma = float(np.hypot(there.sigma, here.sigma))
-    return Estimate(there.value, sigma, min(there.freedom, here.freedom))
-
-
-def _widened(estimate: Estimate, sigma: float) -> Estimate:
-    if sigma == 0.0:
-        return estimate
-    both = float(np.hypot(estimate.sigma, sigma))
-    # a stated sigma has no degrees of freedom to lose (Welch–Satterthwaite)
-    freedom = estimate.freedom * (both / max(estimate.sigma, 1e-12)) ** 4
-    return Estimate(estimate.value, both, float(min(freedom, 1e6)))
+    return Estimate(there.mean, sigma, min(there.freedom, here.freedom))
 
 
 def _bins(coordinate: FloatArray, window_px: float) -> int:

@@ -265,8 +265,8 @@ class OrthoWindow:
     @property
     def without_height(self) -> FlagArray:
         """1 where the terrain has no height."""
-        holes = (self.flag == Flag.NODATA) | (self.flag == Flag.OUTSIDE_TERRAIN)
-        return holes.astype(np.uint8)
+        holes: FlagArray = np.isin(self.flag, (Flag.NODATA, Flag.OUTSIDE_TERRAIN)).astype(np.uint8)
+        return holes
 
 
 def _grey_at(source: ImageSource, image_px: FloatArray, decimation: int) -> FloatArray:

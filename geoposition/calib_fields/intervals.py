@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
-from geoposition.arrays import FloatArray, IntArray
+from geoposition.arrays import BoolArray, FloatArray, IntArray
 from geoposition.calib_fields.smooth import polynomial_powers, polynomial_terms
 
 CONFIDENCE: Final = 0.95
@@ -26,24 +26,38 @@ _POINTS_PER_TERM: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number, its standard deviation, and how many degrees of freedom this rests on."""
+    """A mean, its standard deviation, and how many degrees of freedom this rests on.
 
-    value: float
+    With `squared` the mean is one of squares, and what is told is its root.
+    """
+
+    mean: float
     sigma: float
     freedom: float
+    squared: bool = False
+
+    @property
+    def value(self) -> float:
+        """The mean, or its root."""
+        return float(np.sqrt(max(self.mean, 0.0))) if self.squared else self.mean
 
     @property
     def interval(self) -> tuple[float, float]:
         """Where the truth lies with a confidence of 95 %."""
         reach = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(self.freedom, 1.0))) * self.sigma
-        return self.value - reach, self.value + reach
+        low, high = self.mean - reach, self.mean + reach
+        if self.squared:
+            return float(np.sqrt(max(low, 0.0))), float(np.sqrt(max(high, 0.0)))
+        return low, high
 
-    def as_size(self) -> Estimate:
-        """Root of a mean square: of `value` and, to first order, of its deviation."""
-        root = float(np.sqrt(max(self.value, 0.0)))
-        # where the square is not clear of zero its own deviation bounds the root
-        sigma = 0.5 * self.sigma / max(root, np.sqrt(max(self.sigma, 1e-300)))
-        return Estimate(root, float(sigma), self.freedom)
+    def widened(self, sigma: float) -> Estimate:
+        """Return it with one more, independent and well known, deviation."""
+        if sigma == 0.0:
+            return self
+        both = float(np.hypot(self.sigma, sigma))
+        # Welch and Satterthwaite: what is well known brings freedom
+        freedom = self.freedom * (both / max(self.sigma, 1e-12)) ** 4
+        return Estimate(self.mean, both, float(min(freedom, 1e6)), self.squared)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,9 +76,9 @@ class Cells:
         _, index = np.unique(cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1], return_inverse=True)
         return cls(index.astype(np.int64), (image_px - low) / size * 2.0 - 1.0)
 
-    def mean(self, values: FloatArray, keep: FloatArray | None = None) -> Estimate:
-        """Mean of `values` (n,), of those in `keep` (n, boolean) if given."""
-        kept = np.ones(len(values), dtype=np.bool_) if keep is None else keep.astype(np.bool_)
+    def mean(self, values: FloatArray, keep: BoolArray | None = None) -> Estimate:
+        """Mean of `values` (n,), of those in `keep` (n,) if given."""
+        kept = np.ones(len(values), dtype=np.bool_) if keep is None else keep
         used, index = values[kept], self.index[kept]
         n = len(used)
         degree = _DEGREE

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -94,7 +94,8 @@ class DomMatches:
     `ground` (n, 3) is the reference: orthophoto and terrain. `model_px` (n, 2) is where the model
     puts it, `image_px` (n, 2) where the image shows it, with `covariance_px2` (n, 2, 2) of the
     matching. `shift_en_m` (n, 2) is what brings the image's ground position onto the reference,
-    reference less located, east and north, with `covariance_m2`. NaN where `cause` (n,) is not `USED`, but for outliers.
+    reference less located, east and north, with `covariance_m2`. NaN where `cause` (n,) is not
+    `USED`, but for outliers.
     `pixel_m` is the size of the lattice's pixels, `ground_sample_m` (line, sample) the image's.
     """
 
@@ -128,6 +129,27 @@ class DomMatches:
     def counts(self) -> dict[str, int]:
         """How many patches each cause has."""
         return {cause.name.lower(): int(np.sum(self.cause == cause)) for cause in Cause}
+
+
+class _Patches(NamedTuple):
+    """The columns of `DomMatches` for some patches; `cause` as numbers."""
+
+    ground: FloatArray
+    model_px: FloatArray
+    image_px: FloatArray
+    covariance_px2: FloatArray
+    shift_en_m: FloatArray
+    covariance_m2: FloatArray
+    correlation: FloatArray
+    cause: FloatArray
+
+    @classmethod
+    def lost(cls, n: int, cause: Cause) -> _Patches:
+        """Of `n` patches that came to nothing for one `cause`."""
+        shapes: tuple[tuple[int, ...], ...] = ((3,), (2,), (2,), (2, 2), (2,), (2, 2), ())
+        return cls(
+            *(np.full((n, *shape), np.nan) for shape in shapes), cause=np.full(n, float(cause))
+        )
 
 
 def match_dom(
@@ -225,9 +247,16 @@ def _match_level(
             f"the overlap of image and orthophoto is {overlap.shape[0]} x {overlap.shape[1]} "
             f"pixels of {overlap.pixel_m:g} m: too small for patches of {options.window_px}"
         )
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    columns = _Patches(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     return DomMatches(
-        *columns,
+        ground=columns.ground,
+        model_px=columns.model_px,
+        image_px=columns.image_px,
+        covariance_px2=columns.covariance_px2,
+        shift_en_m=columns.shift_en_m,
+        covariance_m2=columns.covariance_m2,
+        correlation=columns.correlation,
+        cause=columns.cause.astype(np.uint8),
         pixel_m=level.pixel_m,
         ground_sample_m=overlap.ground_sample_m,
         window_px=options.window_px,
@@ -265,23 +294,20 @@ def _match_block(
     level: _Level,
     corners: IntArray,
     options: DomMatchOptions,
-) -> tuple[FloatArray, ...]:
-    """Match patches near each other; the columns of `DomMatches` in their order."""
+) -> _Patches:
+    """Match patches near each other."""
     window, margin = options.window_px, level.radius + _EDGE_PX
     low = corners.min(axis=0) - margin
     size = corners.max(axis=0) + window + margin - low
     grid = lattice.window(int(low[0]), int(low[1]), int(size[0]), int(size[1]))
     n = len(corners)
-    cause = np.full(n, Cause.OUTSIDE, dtype=np.uint8)
-    nothing = _nothing(n)
     reference = dom.read(grid)
     if not np.isfinite(reference).any():
-        cause[:] = Cause.NODATA
-        return (*nothing[:7], cause)
+        return _Patches.lost(n, Cause.NODATA)
     ortho = image.on(grid, overlap.mean_sample_m, level.pixel_m)
     if not np.isfinite(ortho.grey).any():
-        cause[:] = np.where(ortho.without_height.any(), Cause.NODATA, Cause.OUTSIDE)
-        return (*nothing[:7], cause)
+        hole = bool(ortho.without_height.any())
+        return _Patches.lost(n, Cause.NODATA if hole else Cause.OUTSIDE)
     template, searched = Template.of(reference), Searched.of(ortho.grey)
     own = corners - low
     whole, score, contrast = correlate(
@@ -294,20 +320,14 @@ def _match_block(
     low_score = known & ~flat & ~(np.fmax(score, fit.correlation) >= options.least_correlation)
     at_edge = np.max(np.abs(whole), axis=1) >= level.radius
     lost = known & ~flat & ~low_score & (~fit.converged | at_edge)
+    cause: FlagArray = np.full(n, Cause.USED, dtype=np.uint8)
     cause[~known] = _unknown_cause(reference, ortho, own[~known], window)
     cause[flat], cause[low_score] = Cause.NO_TEXTURE, Cause.LOW_CORRELATION
     cause[lost] = Cause.NOT_CONVERGED
     good = known & ~flat & ~low_score & ~lost
-    cause[good] = Cause.USED
-    return _measured(image, grid, overlap, own, window, fit.shift_px, fit.covariance_px2, good) + (
-        fit.correlation,
-        cause,
-    )
-
-
-def _nothing(n: int) -> tuple[FloatArray, ...]:
-    shapes: tuple[tuple[int, ...], ...] = ((3,), (2,), (2,), (2, 2), (2,), (2, 2), ())
-    return tuple(np.full((n, *shape), np.nan) for shape in shapes)
+    middle = own + 0.5 * (window - 1)
+    patches = _measured(image, grid, middle, fit.shift_px, fit.covariance_px2, good)
+    return patches._replace(correlation=fit.correlation, cause=cause.astype(np.float64))
 
 
 def _unknown_cause(
@@ -328,39 +348,36 @@ def _unknown_cause(
 def _measured(
     image: OrthoImage,
     grid: OrthoGrid,
-    overlap: Overlap,
-    corners: IntArray,
-    window: int,
+    middle: FloatArray,
     shift_px: FloatArray,
     covariance_px2: FloatArray,
     good: BoolArray,
-) -> tuple[FloatArray, ...]:
-    """Ground, model and image places, residuals and covariances of patches; NaN where not good."""
-    n = len(corners)
-    ground, model_px, image_px, cov_px, en_m, cov_m, _ = _nothing(n)
-    middle = corners + 0.5 * (window - 1)
+) -> _Patches:
+    """Places, residuals and covariances of patches around `middle` (n, 2); NaN where not good."""
+    out = _Patches.lost(len(middle), Cause.USED)
     # the reference is kept for all, so that a map can show what was lost
-    ground[:] = _on_terrain(image.terrain, grid, middle)
-    projected = image.model.ground_to_image(ground)
-    model_px[:] = np.where(has_result(projected.flag)[:, None], projected.image_px, np.nan)
+    out.ground[:] = _on_terrain(image.terrain, grid, middle)
+    projected = image.model.ground_to_image(out.ground)
+    out.model_px[:] = np.where(has_result(projected.flag)[:, None], projected.image_px, np.nan)
     rows = np.flatnonzero(good)
     if not rows.size:
-        return ground, model_px, image_px, cov_px, en_m, cov_m
+        return out
     there = _on_terrain(image.terrain, grid, middle[rows] + shift_px[rows])
     found = image.model.ground_to_image(there)
     seen = np.where(has_result(found.flag)[:, None], found.image_px, np.nan)
-    image_px[rows] = seen + image.correction.at(seen)
+    out.image_px[rows] = seen + image.correction.at(seen)
     # the image's own scale and turn: how a pixel of the lattice moves the image's
+    height = out.ground[rows, 2]
     step = [
-        image.model.ground_to_image(_on_height(grid, middle[rows] + move, ground[rows, 2])).image_px
-        for move in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+        image.model.ground_to_image(_on_height(grid, middle[rows] + move, height)).image_px
+        for move in np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     ]
     jacobian = np.stack([step[1] - step[0], step[2] - step[0]], axis=-1)
-    cov_px[rows] = jacobian @ covariance_px2[rows] @ np.swapaxes(jacobian, -1, -2)
-    en_m[rows], cov_m[rows] = _on_ground(
-        image, ground[rows], image_px[rows], cov_px[rows], model_px[rows]
+    out.covariance_px2[rows] = jacobian @ covariance_px2[rows] @ np.swapaxes(jacobian, -1, -2)
+    out.shift_en_m[rows], out.covariance_m2[rows] = _on_ground(
+        image, out.ground[rows], out.image_px[rows], out.covariance_px2[rows], out.model_px[rows]
     )
-    return ground, model_px, image_px, cov_px, en_m, cov_m
+    return out
 
 
 def _on_ground(

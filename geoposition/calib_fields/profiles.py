@@ -36,7 +36,7 @@ class Profile:
 
 
 def profile(coordinate_px: FloatArray, residual_px: FloatArray, bins: int) -> Profile:
-    """Average residuals (n, 2) in `bins` equal bins of a coordinate (n,); empty bins are left out."""
+    """Average residuals (n, 2) in `bins` equal bins of a coordinate (n,), those of some points."""
     low, high = float(coordinate_px.min()), float(coordinate_px.max())
     width = max(high - low, 1e-9) / bins
     index = np.clip(((coordinate_px - low) / width).astype(np.int64), 0, bins - 1)
@@ -46,7 +46,7 @@ def profile(coordinate_px: FloatArray, residual_px: FloatArray, bins: int) -> Pr
     mean = np.stack([np.bincount(index, r, bins) for r in residual_px.T], axis=1) / number
     square = np.stack([np.bincount(index, r * r, bins) for r in residual_px.T], axis=1) / number
     sigma = np.sqrt(np.maximum(square - mean**2, 0.0) / np.maximum(number - 1, 1))
-    centre = low + (np.arange(bins) + 0.5) * width
+    centre: FloatArray = low + (np.arange(bins, dtype=np.float64) + 0.5) * width
     return Profile(centre[kept], mean[kept], sigma[kept], count[kept])
 
 

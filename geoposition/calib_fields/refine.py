@@ -191,10 +191,11 @@ def _read(
 def _moments(
     grey: Grey, row_slope: Grey, col_slope: Grey, weight: Grey, r0: int, c0: int, image: Grey
 ) -> tuple[float, float, float, float, float]:
-    """Sums of `image` and of its products with itself, the template and the template's slopes."""
+    """Sum `image` and its products with itself, the template and the template's slopes."""
     size = image.shape[0]
     s_sum = ss = st = rs = cs = 0.0
     for i in range(size):
+        # 32 bits over one row keep the loop in vectors; the rows add up in 64
         f_s = f_ss = f_st = f_rs = f_cs = np.float32(0.0)
         for j in range(size):
             ws = weight[i, j] * image[i, j]
@@ -203,11 +204,11 @@ def _moments(
             f_st += ws * grey[r0 + i, c0 + j]
             f_rs += ws * row_slope[r0 + i, c0 + j]
             f_cs += ws * col_slope[r0 + i, c0 + j]
-        s_sum += f_s
-        ss += f_ss
-        st += f_st
-        rs += f_rs
-        cs += f_cs
+        s_sum += float(f_s)
+        ss += float(f_ss)
+        st += float(f_st)
+        rs += float(f_rs)
+        cs += float(f_cs)
     return s_sum, ss, st, rs, cs
 
 
@@ -224,7 +225,7 @@ def _score(
     row_line: tuple[float, float],
     col_line: tuple[float, float],
 ) -> tuple[float, float, float]:
-    """Sums over blocks of (slope · residual), squared: what the covariance is made of.
+    """Sum squares of (slope · residual) over blocks: what the covariance is made of.
 
     `line` is (offset, gain) of the template on the image, `row_line` and `col_line` those of the
     slopes.

@@ -27,7 +27,10 @@ from geoposition.terrain import Terrain
 DEFAULT_BOUND_PX: Final = 0.005
 FIRST_STEP: Final = 64
 
-_LEAST_STEP: Final = 4
+_LEAST_STEP: Final = 1
+_LARGEST_CELL_PX: Final = 64.0
+"""In the image: a model answers for a margin around it that is larger."""
+_PROBES: Final = 9
 _LEAST_HALF_M: Final = 5.0
 _BORDER: Final = 33
 _MOST_PIXELS: Final = 10**11
@@ -141,11 +144,11 @@ def ortho_window(task: OrthoTask, grid: OrthoGrid) -> OrthoPlaces:
         return OrthoPlaces(line, sample, flag, 0.0)
     low, high = float(np.nanmin(height)), float(np.nanmax(height))
     middle, half = 0.5 * (low + high), max(0.5 * (high - low), _LEAST_HALF_M)
-    step, error = FIRST_STEP, np.inf
+    step = _first_step(task.model, grid, middle)
     while True:
         nodes = _nodes(task.model, grid, step, middle, half)
-        error = _error(task.model, grid, nodes, step, middle, half)
-        if error <= task.bound_px or step <= _LEAST_STEP:
+        error, lost_cells = _error(task.model, grid, nodes, step, middle, half)
+        if (error <= task.bound_px and not lost_cells) or step <= _LEAST_STEP:
             break
         step //= 2
     places_at_heights(nodes, step, height, middle, half, line, sample)
@@ -199,6 +202,18 @@ def _image(
     return np.where(has_result(found.flag)[..., None], found.image_px, np.nan)
 
 
+def _first_step(model: SensorModel, grid: OrthoGrid, height_m: float) -> int:
+    """Pixels between nodes that are not too far apart in the image."""
+    row, col = (np.linspace(0.0, n - 1.0, _PROBES) for n in grid.shape)
+    at = _image(model, grid, row, col, height_m)
+    beside = _image(model, grid, row + 1.0, col + 1.0, height_m)
+    stretch = float(np.nanmax(np.abs(beside - at), initial=0.0))
+    step = FIRST_STEP
+    while step > _LEAST_STEP and step * stretch > _LARGEST_CELL_PX:
+        step //= 2
+    return step
+
+
 def _nodes(
     model: SensorModel, grid: OrthoGrid, step: int, middle_m: float, half_m: float
 ) -> FloatArray:
@@ -217,17 +232,21 @@ def _error(
     step: int,
     middle_m: float,
     half_m: float,
-) -> float:
-    """Largest error at the middles of cells, at heights where a quadratic is worst."""
+) -> tuple[float, bool]:
+    """Largest error at the middles of cells, at heights where a quadratic is worst.
+
+    And whether a cell has no places though its middle is seen: a node of it lies too far out.
+    """
     row, col = (axis[:-1] + 0.5 * step for axis in _axes(grid, step))
     mean = 0.25 * (nodes[1:, 1:] + nodes[1:, :-1] + nodes[:-1, 1:] + nodes[:-1, :-1])
     terms = mean.reshape(len(row), len(col), 2, 3)
-    error = 0.0
+    error, lost = 0.0, False
     for k in (-0.577, 0.0, 0.577):
         exact = _image(model, grid, row, col, middle_m + k * half_m)
         missed = np.abs(terms @ np.array([1.0, k, k * k]) - exact)
         error = max(error, float(np.nanmax(missed, initial=0.0)))
-    return error
+        lost |= bool(np.any(np.isnan(mean).any(axis=-1) & np.isfinite(exact).all(axis=-1)))
+    return error, lost
 
 
 def _hidden(

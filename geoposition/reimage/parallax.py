@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from geoposition.arrays import FloatArray, read_only
 from geoposition.errors import ArgumentError, GeometryError
@@ -23,7 +24,9 @@ from geoposition.reimage.mapping import RowMap, map_models
 from geoposition.reimage.resample import Resampler
 from geoposition.terrain import Terrain
 
-_ITERATIONS: Final = 6
+_ITERATIONS: Final = 15
+_SETTLED_PX: Final = 1e-3
+_SMOOTH_PX: Final = (0.6, 1.0)
 _EDGE: Final = 4
 _LEAST_PIXELS: Final = 64
 _LEAST_SLOPE: Final = 1e-6
@@ -64,20 +67,23 @@ def measure_parallax(
         raise ArgumentError(f"parallax: at least {4 * block_rows} lines expected, got {rows}")
     places = map_models(first_model, second_model, terrain).rows(0, rows)
     lag_s = _lag_s(first_model, second_model, places, cols)
-    grey = np.ascontiguousarray(second, dtype=np.float32)[None]
+    # interpolation is worst at the finest texture, and biases shifts by some hundredths there
+    grey = np.ascontiguousarray(_smooth(second), dtype=np.float32)[None]
     count = rows // block_rows
     shift = np.zeros((count, 2))
     sigma = np.full((count, 2), np.nan)
     centre = block_rows * np.arange(count) + 0.5 * (block_rows - 1)
     known = np.zeros(count, dtype=np.bool_)
-    target = first.astype(np.float64)
+    target = _smooth(first)
     for _ in range(_ITERATIONS):
         moved = _shifted(places, centre, shift)
-        brought, valid = Resampler("cubic").rows(grey, moved, cols)
+        brought, valid = Resampler("lanczos").rows(grey, moved, cols)
         seen = (valid != 0) & np.isfinite(target)
         there = np.where(seen, brought[0], 0.0)
         step, sigma, known = _steps(np.where(seen, target, 0.0), there, seen, block_rows)
         shift[known] += step[known]
+        if known.any() and np.sqrt(np.mean(step[known] ** 2)) < _SETTLED_PX:
+            break
     if known.sum() < 4:
         raise GeometryError("parallax: the two images have too little in common to be compared")
     shift[~known] = np.nan
@@ -107,18 +113,31 @@ def _shifted(places: RowMap, centre: FloatArray, shift: FloatArray) -> RowMap:
     return RowMap(0, places.node_step, places.places + each[:, None], places.error_px)
 
 
+def _smooth(grey: NDArray[Any]) -> FloatArray:
+    smooth: FloatArray = ndimage.gaussian_filter(grey.astype(np.float64), _SMOOTH_PX, mode="nearest")
+    return smooth
+
+
+def _slope(grey: FloatArray, axis: int) -> FloatArray:
+    """First differences of fourth order: simple ones are too flat for fine texture."""
+    near = np.roll(grey, -1, axis) - np.roll(grey, 1, axis)
+    far = np.roll(grey, -2, axis) - np.roll(grey, 2, axis)
+    return np.asarray((8.0 * near - far) / 12.0)
+
+
 def _steps(
     first: FloatArray, second: FloatArray, valid: NDArray[np.bool_], block_rows: int
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """One least-squares step of each block: shift (n, 2), sigma (n, 2), and whether there is."""
     mean = 0.5 * (first + second)
-    by_line, by_sample = np.gradient(mean)
+    by_line, by_sample = (_slope(mean, axis) for axis in (0, 1))
     # the second image's contrast and level may differ: a gain and an offset are solved along
     inside = valid.copy()
     for axis in (0, 1):
-        inside &= np.roll(valid, 1, axis=axis) & np.roll(valid, -1, axis=axis)
+        for step in (-2, -1, 1, 2):
+            inside &= np.roll(valid, step, axis=axis)
     inside[:, :_EDGE] = inside[:, -_EDGE:] = False
-    inside[:1] = inside[-1:] = False
+    inside[:2] = inside[-2:] = False
     terms = np.stack([by_line, by_sample, second, np.ones_like(second)], axis=-1)
     count = first.shape[0] // block_rows
     size = block_rows * first.shape[1]

@@ -44,6 +44,7 @@ _COMMANDS = (
     "reimage",
     "ortho",
     "dsm",
+    "evaluate",
     "rpc_fit",
     "rpc_compare",
     "rpc_convert",

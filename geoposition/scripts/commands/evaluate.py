@@ -1,0 +1,88 @@
+"""`geoposition evaluate`: an image's accuracy from a reference orthophoto."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    product: Annotated[
+        Path, typer.Argument(help="Image with an RPC, any product, or a list RUN.toml of scenes.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
+    dom: Annotated[
+        list[Path] | None, typer.Option(help="Reference orthophoto; tiles: several times.")
+    ] = None,
+    dem: Annotated[
+        list[Path] | None, typer.Option(help="DEM of the ground; tiles: several times.")
+    ] = None,
+    geoid: Annotated[
+        Path | None, typer.Option(help="Geoid grid: the DEM's heights are orthometric.")
+    ] = None,
+    field: Annotated[
+        Path | None, typer.Option(help="Calibration field (field.toml) in place of these three.")
+    ] = None,
+    image: Annotated[
+        Path | None, typer.Option(help="The image, where it is not known from the product.")
+    ] = None,
+    relative: Annotated[
+        str, typer.Option(help="Removed before the relative numbers: shift, affine, attitude.")
+    ] = "shift",
+    reference_sigma: Annotated[
+        float | None,
+        typer.Option(help="Standard deviation of the reference's place, per axis, m."),
+    ] = None,
+    search: Annotated[float, typer.Option(help="How far off the model may be, m.")] = 100.0,
+    window: Annotated[int, typer.Option(help="Side of a patch, pixels.")] = 64,
+    spacing: Annotated[
+        int | None, typer.Option(help="Distance of patches, pixels; half a window.")
+    ] = None,
+    correlation: Annotated[float, typer.Option(help="Least correlation of a match.")] = 0.4,
+    line_period: Annotated[
+        float | None, typer.Option(help="Seconds per line, where the model tells no time.")
+    ] = None,
+    dom_band: Annotated[
+        int | None, typer.Option(help="Band of the orthophoto, from 1; their mean.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Match an image with a reference orthophoto and say how accurate it is.
+
+    Writes evaluation.json, report.html and matches.gpkg into the folder. The bias is what brings
+    the image onto the reference (reference less located); x runs along the track, y across it.
+    Without --geoid the DEM's heights are taken as ellipsoidal. A list RUN.toml holds [[scene]]
+    tables with product, image, date, region, side_swing_deg and any of the options above, and a
+    table [defaults] with what they share.
+
+    Example: geoposition evaluate image.tif --dom dom.tif --dem dem.tif --geoid egm96.gtx -o out
+    """
+    from geoposition.errors import ArgumentError
+    from geoposition.scripts import evaluate_run
+    from geoposition.scripts.results import print_facts, print_json, progress_bar
+
+    given = evaluate_run.Settings(
+        dom=tuple(dom or ()),
+        dem=tuple(dem or ()),
+        geoid=geoid,
+        field=field,
+        image=image,
+        relative=relative,
+        reference_sigma_m=reference_sigma,
+        search_m=search,
+        window_px=window,
+        spacing_px=spacing,
+        least_correlation=correlation,
+        line_period_s=line_period,
+        dom_band=dom_band,
+    )
+    if output.exists() and not output.is_dir():
+        raise ArgumentError(f"{output}: a folder expected, this is a file")
+    with progress_bar("matching", json) as progress:
+        summary = evaluate_run.run(product, given, output, progress)
+    if json:
+        print_json(summary)
+    else:
+        print_facts(str(output), {k: v for k, v in summary.items() if k != "inputs"})
