@@ -26,12 +26,12 @@ from geoposition.dense import (
     terrain_field,
 )
 from geoposition.ellipsoid import geodetic_to_ecef
-from geoposition.errors import ArgumentError, GeometryError, ProductError
+from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import has_result
-from geoposition.matching import ImageSource, MatchOptions, match_images, open_image
+from geoposition.matching import ImageSource, MatchOptions, match_images
 from geoposition.observations import TiePoints
 from geoposition.product import Product
-from geoposition.rpc.model import RpcModel
+from geoposition.scripts.product_images import image_of
 from geoposition.scripts.results import Progress
 from geoposition.scripts.tables import whole_file
 from geoposition.sensor_model import SensorModel
@@ -248,17 +248,7 @@ def _written(
 def _sources(products: Sequence[Product], images: Sequence[Path]) -> list[ImageSource]:
     if images and len(images) != len(products):
         raise ArgumentError(f"--image: one for each of {len(products)} products expected")
-    return [_source(product, images[i] if images else None) for i, product in enumerate(products)]
-
-
-def _source(product: Product, path: Path | None) -> ImageSource:
-    path = path or product.image_path
-    if path is None:
-        raise ProductError(product.path, "", "no image lies beside it: name it with --image")
-    if path == product.path and isinstance(product.model, RpcModel):
-        # The RPC read from an image is in that image's own pixels, crop or not.
-        return open_image(path, first_pixel=(0, 0))
-    return open_image(path)
+    return [image_of(product, images[i] if images else None) for i, product in enumerate(products)]
 
 
 def _biases(agreement: Agreement, removed: bool) -> list[dict[str, object]]:

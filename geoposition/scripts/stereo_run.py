@@ -12,15 +12,14 @@ import numpy as np
 from geoposition.accuracy import error_ellipsoids
 from geoposition.arrays import FloatArray
 from geoposition.error_budget import ModelError
-from geoposition.errors import ArgumentError, ProductError
+from geoposition.errors import ArgumentError
 from geoposition.flags import Flag, flag_labels
 from geoposition.intersect import MIN_CONVERGENCE_RAD
 from geoposition.matching import match_images
-from geoposition.matching.image import ImageSource, open_image
 from geoposition.observations import TiePoints
 from geoposition.product import Product
-from geoposition.rpc.model import RpcModel
 from geoposition.scripts.point_tables import flag_counts, ground_columns
+from geoposition.scripts.product_images import image_of
 from geoposition.scripts.results import Progress
 from geoposition.scripts.stereo_bias import Removal, remove_bias
 from geoposition.scripts.stereo_checks import (
@@ -91,19 +90,10 @@ def match_products(
     """Tie points of all products, found in their images."""
     if images and len(images) != len(products):
         raise ArgumentError(f"--image: one for each of {len(products)} products expected")
-    sources = [_image(product, images[i] if images else None) for i, product in enumerate(products)]
+    sources = [
+        image_of(product, images[i] if images else None) for i, product in enumerate(products)
+    ]
     return match_images(sources, [product.model for product in products], progress=progress)
-
-
-def _image(product: Product, path: Path | None) -> ImageSource:
-    if path is None and product.image_path is None:
-        raise ProductError(product.path, "", "no image lies beside it: name it with --image")
-    path = path or product.image_path
-    assert path is not None
-    if path == product.path and isinstance(product.model, RpcModel):
-        # The RPC read from an image is in that image's own pixels, crop or not.
-        return open_image(path, first_pixel=(0, 0))
-    return open_image(path)
 
 
 def intersect(

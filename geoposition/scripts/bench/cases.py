@@ -50,7 +50,7 @@ class Sizes:
     slow: int
 
 
-FULL = Sizes(ours=1_000_000, rpc=4_000_000, compiled=100_000, numpy=50_000, slow=2_000)
+FULL = Sizes(ours=1_000_000, rpc=1_000_000, compiled=100_000, numpy=50_000, slow=2_000)
 QUICK = Sizes(ours=20_000, rpc=40_000, compiled=4_000, numpy=2_000, slow=100)
 
 
