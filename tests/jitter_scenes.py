@@ -37,7 +37,7 @@ class Telling:
 
     def model(self, attitude: Attitude) -> PushbroomModel:
         """The rigorous model with an Earth-fixed `attitude`."""
-        lines, samples = self.shape
+        samples = self.shape[1]
         epoch = self.scene.orbit.epoch
         timing = ConstantLineRate(epoch, -self.half_s, LINE_S)
         half = 0.5 * (samples - 1)

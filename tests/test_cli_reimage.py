@@ -81,9 +81,19 @@ def test_everything_is_written_and_fits(
     result = told(capsys, "reimage", folder / "jittered.toml", folder / "image.tif", "-o", out,
                   "--height", HEIGHT_M)  # fmt: skip
     assert set(result["files"]) == {path.name for path in out.iterdir()}
-    assert {"steady.tif", "steady.toml", "steady.RPB", "steady_RPC.TXT", "steady_RPC.XML",
-            "steady_csm.json", "steady_valid.tif", "steady_displacement.tif",
-            "removed_attitude.csv", "reimage.json", "report.html"} <= set(result["files"])  # fmt: skip
+    assert {
+        "steady.tif",
+        "steady.toml",
+        "steady.RPB",
+        "steady_RPC.TXT",
+        "steady_RPC.XML",
+        "steady_csm.json",
+        "steady_valid.tif",
+        "steady_displacement.tif",
+        "removed_attitude.csv",
+        "reimage.json",
+        "report.html",
+    } <= set(result["files"])
     assert json.loads((out / "reimage.json").read_text()) == result
     after, before = (result["rpc_misfit_px"][name] for name in ("after", "before"))
     assert max(after[axis]["max"] for axis in ("row", "col")) <= 0.002
@@ -96,7 +106,9 @@ def test_everything_is_written_and_fits(
     model = open_product(out / "steady.toml").model
     assert open_product(out / "steady.toml").image_path == out / "steady.tif"
     for name in ("steady.tif", "steady.RPB", "steady_RPC.TXT", "steady_RPC.XML", "steady_csm.json"):
-        other = open_product(out / name).model if name.endswith("csm.json") else read_rpc(out / name)
+        other = (
+            open_product(out / name).model if name.endswith("csm.json") else read_rpc(out / name)
+        )
         found = compare(model, other, heights_m=[0.0, 2000.0])
         assert max(found.row.max, found.col.max) < 0.01, name
     texture = np.load(folder / "texture.npy")
@@ -129,17 +141,29 @@ def test_a_fused_attitude_takes_the_products_place(
 ) -> None:
     own = told(capsys, "reimage", folder / "jittered.toml", folder / "image.tif", "-o",
                tmp_path / "own", "--height", HEIGHT_M)  # fmt: skip
-    given = told(capsys, "reimage", folder / "plain.toml", folder / "image.tif", "-o",
-                 tmp_path / "given", "--height", HEIGHT_M, "--attitude", folder / "fused.csv")  # fmt: skip
+    given = told(
+        capsys,
+        "reimage",
+        folder / "plain.toml",
+        folder / "image.tif",
+        "-o",
+        tmp_path / "given",
+        "--height",
+        HEIGHT_M,
+        "--attitude",
+        folder / "fused.csv",
+    )
     none = told(capsys, "reimage", folder / "plain.toml", folder / "image.tif", "-o",
                 tmp_path / "none", "--height", HEIGHT_M)  # fmt: skip
     for axis in ("row", "col"):
         rms = [run_["displacement_px"][axis]["rms"] for run_ in (own, given, none)]
         assert rms[1] == pytest.approx(rms[0], rel=1e-3)
         assert rms[2] < 1e-4
-    with rasterio.open(tmp_path / "own/steady.tif") as a:
-        with rasterio.open(tmp_path / "given/steady.tif") as b:
-            assert np.mean(np.abs(a.read(1).astype(int) - b.read(1))) < 1.0
+    with (
+        rasterio.open(tmp_path / "own/steady.tif") as a,
+        rasterio.open(tmp_path / "given/steady.tif") as b,
+    ):
+        assert np.mean(np.abs(a.read(1).astype(int) - b.read(1))) < 1.0
 
 
 def test_a_cutoff_leaves_slow_motion_in(

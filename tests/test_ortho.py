@@ -144,8 +144,22 @@ def test_several_bands_nodata_and_area_means(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "coarse.tif"
-    told(capsys, "ortho", files / "scene.toml", files / "bytes.tif", "-o", out,
-         "--dem", files / "dem.tif", "--res", 7, "--method", "area", "--compress", "lzw")  # fmt: skip
+    told(
+        capsys,
+        "ortho",
+        files / "scene.toml",
+        files / "bytes.tif",
+        "-o",
+        out,
+        "--dem",
+        files / "dem.tif",
+        "--res",
+        7,
+        "--method",
+        "area",
+        "--compress",
+        "lzw",
+    )
     with rasterio.open(out) as made:
         assert made.count == 2
         assert made.nodata == 0

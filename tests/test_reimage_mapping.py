@@ -151,8 +151,12 @@ def test_an_ideal_line_is_stitched_from_staggered_ccds(overlap: int) -> None:
 def brightness(model: PushbroomModel, samples: int) -> FloatArray:
     """Image of a ground of waves as `model` sees it, float32 (lines, samples)."""
     lines = model.shape[0]
-    image = np.stack(np.meshgrid(np.arange(lines, dtype=np.float64),
-                                 np.arange(samples, dtype=np.float64), indexing="ij"), axis=-1)  # fmt: skip
+    image = np.stack(
+        np.meshgrid(
+            np.arange(lines, dtype=np.float64), np.arange(samples, dtype=np.float64), indexing="ij"
+        ),
+        axis=-1,
+    )
     ground = model.image_to_ground(image, 200.0).geodetic
     k = 6.4e6 * 2 * np.pi / 28.0
     waves = np.sin(ground[..., 0] * k * 0.7) + np.cos(ground[..., 1] * k)

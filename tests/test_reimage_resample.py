@@ -66,9 +66,7 @@ def test_bilinear_and_cubic_are_their_definitions(name: str) -> None:
 
 
 @settings(max_examples=25, deadline=None)
-@given(
-    st.floats(-0.3, 0.3), st.floats(0.6, 1.4), st.floats(-20.0, 40.0), st.floats(-20.0, 40.0)
-)
+@given(st.floats(-0.3, 0.3), st.floats(0.6, 1.4), st.floats(-20.0, 40.0), st.floats(-20.0, 40.0))
 def test_places_one_by_one_give_what_rows_give(
     turn: float, stretch: float, down: float, right: float
 ) -> None:

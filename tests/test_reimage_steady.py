@@ -99,12 +99,11 @@ def test_what_makes_no_sense_is_refused() -> None:
         SteadyOptions(cutoff_hz=1.0)
     with pytest.raises(ArgumentError, match="polynomial, low-pass or spline"):
         SteadyOptions("mean")  # type: ignore[arg-type]
+    slow, fast = (SteadyOptions("low-pass", cutoff_hz=hz) for hz in (0.001, 5000.0))
     with pytest.raises(GeometryError, match="too short"):
-        options = SteadyOptions("low-pass", cutoff_hz=0.001)
-        steady_attitude(scene.attitude, scene.ephemeris, (-0.1, 0.1), options)
+        steady_attitude(scene.attitude, scene.ephemeris, (-0.1, 0.1), slow)
     with pytest.raises(GeometryError, match="above what samples"):
-        options = SteadyOptions("low-pass", cutoff_hz=5000.0)
-        steady_attitude(scene.attitude, scene.ephemeris, (-0.1, 0.1), options)
+        steady_attitude(scene.attitude, scene.ephemeris, (-0.1, 0.1), fast)
     with pytest.raises(SpanError):
         steady_attitude(scene.attitude, scene.ephemeris, (1e3, 2e3))
 

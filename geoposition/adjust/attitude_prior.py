@@ -14,7 +14,7 @@ import numpy as np
 
 from geoposition.adjust.time_basis import KnotBasis
 from geoposition.adjust.unknowns import AXES, Block, covered_times
-from geoposition.arrays import FloatArray
+from geoposition.arrays import FloatArray, IntArray
 from geoposition.attitude import Attitude
 from geoposition.errors import ArgumentError
 from geoposition.pushbroom import PushbroomModel
@@ -45,7 +45,7 @@ def joint_covariance(attitude: Attitude, times_s: FloatArray) -> FloatArray:
     return 0.5 * (result + result.T)
 
 
-def _chain(own: FloatArray, lag_one: FloatArray | None, used: np.ndarray) -> FloatArray:  # type: ignore[type-arg]
+def _chain(own: FloatArray, lag_one: FloatArray | None, used: IntArray) -> FloatArray:
     """Joint covariance of the epochs `used`, increasing."""
     m = len(used)
     joint = np.zeros((m, 3, m, 3))

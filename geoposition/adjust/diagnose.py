@@ -33,7 +33,7 @@ Undulation = Callable[[FloatArray], FloatArray]
 _LEAST_GAIN: Final = 30.0
 """Chi-square by which a changed table must be better: beyond any chance."""
 _LEAST_PART: Final = 0.5
-"""Part of the cost a change must take away."""
+"""Part of the cost beyond the expected that a change may leave."""
 _FITS_SIGMA: Final = 6.0
 _ROW_FREEDOM: Final = 2
 
@@ -70,10 +70,12 @@ def diagnose(
     beside an unknown shift, or heights beside an unknown base.
     """
     given = _cost(models, blocks, control, control_sigma_px)
+    expected = 2.0 * (0 if control.image is None else len(control.image))
     found = []
     for change in _changes(control, undulation_m):
         cost = _cost(models, blocks, change.control, control_sigma_px)
-        if given - cost > _LEAST_GAIN and cost < _LEAST_PART * given:
+        too_much, left = given - expected, max(cost - expected, 0.0)
+        if given - cost > _LEAST_GAIN and left < _LEAST_PART * too_much:
             found.append(Finding(change.name, change.message, given, cost))
     return tuple(sorted(found, key=lambda finding: finding.cost_mended))
 
@@ -200,7 +202,7 @@ def _cost(
     control: ControlPoints,
     sigma_px: ArrayLike,
 ) -> float:
-    """Truncated cost of the adjustment of `control` alone."""
+    """Return the truncated cost of the adjustment of `control` alone."""
     options = RobustOptions(adapt=False)
     try:
         points = of_control("control", models, control, sigma_px)

@@ -42,7 +42,7 @@ def compressed(A: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     n, p = A.shape
     if n <= p:
         return A, b
-    triangle = np.linalg.qr(np.column_stack([A, b]), mode="r")
+    triangle = np.asarray(np.linalg.qr(np.column_stack([A, b]), mode="r"))
     return triangle[:p, :p], triangle[:p, p]
 
 

@@ -121,8 +121,10 @@ def linearise(
     *,
     known: bool = True,
 ) -> Linear:
-    """Equations of `group` at `z`. Without `known`, what is known of the points is not used,
-    but a point in one image keeps its height.
+    """Equations of `group` at `z`.
+
+    Without `known`, what is known of the points is not used, but a point in one image keeps its
+    height.
     """
     columns, _ = group_columns(equations, group)
     theta = equations.theta(z)

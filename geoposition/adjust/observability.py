@@ -24,7 +24,7 @@ _MOST_PAIRS: Final = 50
 
 
 def weak_combinations(names: Sequence[str], covariance_z: FloatArray) -> list[WeakCombination]:
-    """Combinations of unknowns that rest on their priors, the weakest first."""
+    """Find combinations of unknowns that rest on their priors, the weakest first."""
     if not len(names):
         return []
     values, vectors = np.linalg.eigh(covariance_z)

@@ -33,10 +33,10 @@ class PointSet:
     """Points (n) of one role and their observations (rows), sorted by point.
 
     `start` (n + 1) delimits each point's rows; `source` (rows) are the rows of the given table.
-    `root` (rows or 1, 2, 2) is L⁻¹ of the image points' covariance, one for all if equal. What is known of a point itself
-    stands in `known_root` (n, k, 3), acting on ECEF metres, and `known_ecef_m` (n, 3): k is 3
-    for control, 1 for a height, 0 for nothing. `ecef_m` (n, 3) is where the point is now,
-    `sights` has one entry per image, of its rows `rows_of[image]`, `flag` (rows).
+    `root` (rows or 1, 2, 2) is L⁻¹ of the image points' covariance, one for all where they are
+    equal. What is known of a point itself stands in `known_root` (n, k, 3), acting on ECEF
+    metres, and `known_ecef_m` (n, 3): k is 3 for control, 1 for a height, 0 for nothing.
+    `ecef_m` (n, 3) is where the point is now, `sights` has the lines of sight of all rows.
     """
 
     role: Role

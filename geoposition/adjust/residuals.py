@@ -64,8 +64,9 @@ class ImageEquations:
     def evaluate(
         self, sights: Sights, ground_ecef_m: FloatArray, theta: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residuals (n, 2), their derivatives by the line of sight's place (n, 2, 3) in metres
-        and by the image's unknowns (n, 2, p), for all unknowns `theta`.
+        """Residuals (n, 2) and their derivatives, for all unknowns `theta`.
+
+        By the line of sight's place (n, 2, 3), in metres, and by the image's unknowns (n, 2, p).
         """
         n = len(sights.image_px)
         corrections = _Corrections.of(self, sights, theta)

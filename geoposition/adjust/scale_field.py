@@ -74,7 +74,7 @@ class ScaleField:
 
 
 def _clear_samples(model: SensorModel) -> FloatArray:
-    """Samples over the row, none so close to a seam that differences would cross it."""
+    """Choose samples over the row, none so close to a seam that differences would cross it."""
     samples = np.linspace(0.0, model.shape[1] - 1.0, _SAMPLES)
     if isinstance(model, PushbroomModel):
         for detector in model.camera.detectors[1:]:

@@ -145,8 +145,10 @@ def solve(
     *,
     explicit: bool = False,
 ) -> Solved:
-    """Iterate to the minimum. With `explicit` all points are variables of the graph themselves,
-    which gives the same and costs more: no blunders are looked for then.
+    """Iterate to the minimum.
+
+    With `explicit` all points are variables of the graph themselves, which gives the same and
+    costs more: no blunders are looked for then.
 
     `ConvergenceError` where twenty linearisations do not settle it.
     """
@@ -190,7 +192,8 @@ def solve(
         history.append(Iteration(cost, step, total, sum(len(u) for u in found.used) - total))
         before = found
         # Gauss-Newton: what comes next is smaller than this step by what this is than the last.
-        ahead = step * step / history[-2].step_sigma if len(history) > 1 and step < 0.1 else step
+        last = history[-2].step_sigma if len(history) > 1 else 0.0
+        ahead = step * step / last if last > 0.0 and step < 0.1 else step
         if min(step, ahead) < _STEP_SIGMA and same and moved < _POINT_STEP_M:
             return Solved(
                 z,
@@ -254,7 +257,7 @@ def _marginal(solution: GraphSolution, n: int) -> GraphSolution:
 
 
 def used_by_set(solved: Solved) -> list[list[BoolArray]]:
-    """Flags of the robust result, per set and group."""
+    """Return the flags of the robust result, per set and group."""
     out, at = [], 0
     for several in solved.linear:
         out.append(list(solved.robust.used[at : at + len(several)]))

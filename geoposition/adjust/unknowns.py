@@ -159,7 +159,7 @@ def attitude_spline(
 def mounting(
     name: str, images: Sequence[int], *, sigma_rad: ArrayLike = ATTITUDE_SIGMA_RAD
 ) -> Block:
-    """Turns about the camera's axes, one set for all `images` of a camera."""
+    """Make turns about the camera's axes, one set for all `images` of a camera."""
     sigma = np.broadcast_to(np.asarray(sigma_rad, dtype=np.float64), (3,))
     return Block(name, "mounting", tuple(images), ("x", "y", "z"), ("rad",) * 3, np.diag(sigma**2))
 

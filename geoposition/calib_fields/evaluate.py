@@ -291,8 +291,11 @@ def _circular(cells: Cells, shift: FloatArray, own: FloatArray) -> Estimate:
 
 
 def _difference(cells: Cells, left_out: FloatArray, held: BoolArray) -> Estimate:
-    """Mean over held-out points; the fit's own deviation counts as much as theirs."""
-    there, here = cells.mean(left_out, held), cells.mean(left_out, ~held)
+    """Mean over held-out points; the fit's own deviation counts as much as theirs.
+
+    Which points are held out is chance, so that smooth errors are scatter here.
+    """
+    there, here = cells.mean(left_out, held, 0), cells.mean(left_out, ~held, 0)
     sigma = float(np.hypot(there.sigma, here.sigma))
     return Estimate(there.mean, sigma, min(there.freedom, here.freedom))
 

@@ -27,12 +27,13 @@ from rasterio.warp import calculate_default_transform
 from rasterio.windows import Window
 
 from geoposition.arrays import FlagArray, FloatArray
+from geoposition.calib_fields.places import image_places
 from geoposition.calib_fields.smooth import ImageCorrection
 from geoposition.datum import utm_epsg
 from geoposition.errors import ArgumentError, MissingFileError, ProductError
 from geoposition.flags import Flag
 from geoposition.matching import ImageSource
-from geoposition.reimage.ortho import OrthoGrid, OrthoTask, block_means, ortho_window
+from geoposition.reimage.ortho import OrthoGrid, block_means
 from geoposition.reimage.resample import Resampler
 from geoposition.sensor_model import SensorModel
 from geoposition.terrain import Terrain
@@ -40,7 +41,6 @@ from geoposition.terrain.source import split_vertical
 
 _SQUARE: Final = 1e-6
 _ALIGNED: Final = 1e-3
-_MAP_BOUND_PX: Final = 0.005
 _RESAMPLER: Final = Resampler("lanczos", nodata=None)
 
 
@@ -241,11 +241,9 @@ class OrthoImage:
         decimation = max(1, int(pixel_m / ground_sample_m + 0.2))
         finer = 2 if pixel_m / (ground_sample_m * decimation) > 1.2 else 1
         fine = grid.finer(finer)
-        places = ortho_window(OrthoTask(self.model, self.terrain, bound_px=_MAP_BOUND_PX), fine)
-        image_px = np.stack([places.line, places.sample], axis=-1)
+        image_px, flag = image_places(self.model, self.terrain, fine)
         image_px += self.correction.at(image_px)
         grey = _grey_at(self.source, image_px, decimation)
-        flag: FlagArray = places.flag
         if finer > 1:
             valid = np.isfinite(grey).astype(np.uint8)
             means, seen = block_means(np.nan_to_num(grey)[None], valid, finer)

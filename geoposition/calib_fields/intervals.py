@@ -76,12 +76,16 @@ class Cells:
         _, index = np.unique(cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1], return_inverse=True)
         return cls(index.astype(np.int64), (image_px - low) / size * 2.0 - 1.0)
 
-    def mean(self, values: FloatArray, keep: BoolArray | None = None) -> Estimate:
-        """Mean of `values` (n,), of those in `keep` (n,) if given."""
+    def mean(
+        self, values: FloatArray, keep: BoolArray | None = None, degree: int = _DEGREE
+    ) -> Estimate:
+        """Mean of `values` (n,), of those in `keep` (n,) if given.
+
+        What a polynomial of `degree` over the image follows is no chance; with 0 all scatter is.
+        """
         kept = np.ones(len(values), dtype=np.bool_) if keep is None else keep
         used, index = values[kept], self.index[kept]
         n = len(used)
-        degree = _DEGREE
         while degree and n < _POINTS_PER_TERM * len(polynomial_powers(degree)):
             degree -= 1
         terms = polynomial_terms(self.place[kept], polynomial_powers(degree))

@@ -200,7 +200,7 @@ def _levels(overlap: Overlap, options: DomMatchOptions) -> list[_Level]:
     levels = []
     for k in range(halvings, -1, -1):
         scale = 2**k
-        area = overlap.shape[0] * overlap.shape[1] / scale**2
+        area = overlap.image_area_m2 / (pixel_m * scale) ** 2
         points = options.most_points if k == 0 else _COARSE_POINTS
         spacing = max(options.window_px // 2, math.ceil(math.sqrt(area / points)))
         if k == 0 and options.spacing_px is not None:
@@ -325,7 +325,7 @@ def _match_block(
     cause[flat], cause[low_score] = Cause.NO_TEXTURE, Cause.LOW_CORRELATION
     cause[lost] = Cause.NOT_CONVERGED
     good = known & ~flat & ~low_score & ~lost
-    middle = own + 0.5 * (window - 1)
+    middle = own + fit.middle_px
     patches = _measured(image, grid, middle, fit.shift_px, fit.covariance_px2, good)
     return patches._replace(correlation=fit.correlation, cause=cause.astype(np.float64))
 

@@ -34,6 +34,14 @@ class Overlap:
     pixel_m: float
     ground_sample_m: tuple[float, float]
     height_m: float
+    image_lines_samples: tuple[int, int]
+
+    @property
+    def image_area_m2(self) -> float:
+        """Ground that the image shows, or the overlap if that is less."""
+        lines, samples = self.image_lines_samples
+        image = lines * samples * self.ground_sample_m[0] * self.ground_sample_m[1]
+        return min(image, float(self.shape[0] * self.shape[1]) * self.pixel_m**2)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -77,7 +85,7 @@ def find_overlap(model: SensorModel, terrain: Terrain, dom: Dom, margin_m: float
     top, left, bottom, right = int(low[0]), int(low[1]), int(high[0]), int(high[1])
     middle = dom.coarser(factor).window(max((top + bottom) // 2 - 1, 0), (left + right) // 2, 2, 2)
     bounds = top, left, bottom, right
-    return Overlap(factor, bounds, pixel_size_m(middle), sample_m, height_m)
+    return Overlap(factor, bounds, pixel_size_m(middle), sample_m, height_m, model.shape)
 
 
 def _outline(model: SensorModel, terrain: Terrain) -> FloatArray:

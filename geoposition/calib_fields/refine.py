@@ -79,9 +79,11 @@ class Searched:
 class Refined:
     """Shifts (n, 2) in (row, col), their covariance (n, 2, 2), correlation and convergence (n,).
 
-    What lies at x in the template lies at x + shift in the searched image.
+    What lies at x in the template lies at x + shift in the searched image. `middle_px` (n, 2) is
+    the mean place, from the patch's first pixel, of its pixels known in both.
     """
 
+    middle_px: FloatArray
     shift_px: FloatArray
     covariance_px2: FloatArray
     correlation: FloatArray
@@ -125,6 +127,7 @@ def refine(
     shift = np.array(start_px, dtype=np.float64).reshape(n, 2)
     covariance = np.full((n, 2, 2), np.nan)
     correlation, converged = np.full(n, np.nan), np.zeros(n, dtype=np.bool_)
+    middle = np.full((n, 2), 0.5 * (size - 1))
     _refine(
         template.grey,
         template.row_slope,
@@ -135,12 +138,13 @@ def refine(
         np.ascontiguousarray(corners, dtype=np.int64),
         size,
         farthest_px,
+        middle,
         shift,
         covariance,
         correlation,
         converged,
     )
-    return Refined(shift, covariance, correlation, converged)
+    return Refined(middle, shift, covariance, correlation, converged)
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
@@ -258,6 +262,7 @@ def _refine(
     corners: IntArray,
     size: int,
     farthest_px: float,
+    middle: FloatArray,
     shift: FloatArray,
     covariance: FloatArray,
     correlation: FloatArray,
@@ -274,13 +279,16 @@ def _refine(
         image = np.empty((size, size), np.float32)
         slope = np.empty((size, size), np.float32)
         weight = np.empty((size, size), np.float32)
-        n = 0.0
+        n = i_sum = j_sum = 0.0
         for i in range(size):
             for j in range(size):
                 weight[i, j] = known[r0 + i, c0 + j] * seen[near_r + i, near_c + j]
                 n += weight[i, j]
+                i_sum += i * weight[i, j]
+                j_sum += j * weight[i, j]
         if not n > 16.0:
             continue
+        middle[p, 0], middle[p, 1] = i_sum / n, j_sum / n
         own = grey[r0 : r0 + size, c0 : c0 + size]
         t_sum, tt, _, tr, tc = _moments(grey, row_slope, col_slope, weight, r0, c0, own)
         own = row_slope[r0 : r0 + size, c0 : c0 + size]

@@ -41,7 +41,9 @@ class JitterLine:
         return self.line.amplitude * pixel_rad
 
 
-def jitter_of(parallax: Parallax, count: int = 4, significance: float = 4.0) -> tuple[JitterLine, ...]:
+def jitter_of(
+    parallax: Parallax, count: int = 4, significance: float = 4.0
+) -> tuple[JitterLine, ...]:
     """Up to `count` lines of the jitter for each axis, strongest first."""
     found: list[JitterLine] = []
     axes: tuple[Axis, Axis] = ("line", "sample")

@@ -72,7 +72,7 @@ def measure_parallax(
     count = rows // block_rows
     shift = np.zeros((count, 2))
     sigma = np.full((count, 2), np.nan)
-    centre = block_rows * np.arange(count) + 0.5 * (block_rows - 1)
+    centre = block_rows * np.arange(count, dtype=np.float64) + 0.5 * (block_rows - 1)
     known = np.zeros(count, dtype=np.bool_)
     target = _smooth(first)
     for _ in range(_ITERATIONS):
@@ -114,7 +114,9 @@ def _shifted(places: RowMap, centre: FloatArray, shift: FloatArray) -> RowMap:
 
 
 def _smooth(grey: NDArray[Any]) -> FloatArray:
-    smooth: FloatArray = ndimage.gaussian_filter(grey.astype(np.float64), _SMOOTH_PX, mode="nearest")
+    smooth: FloatArray = ndimage.gaussian_filter(
+        grey.astype(np.float64), _SMOOTH_PX, mode="nearest"
+    )
     return smooth
 
 

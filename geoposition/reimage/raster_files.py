@@ -15,9 +15,7 @@ import numpy as np
 import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
-from rasterio.enums import Resampling
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
-from rasterio.rpc import RPC
 from rasterio.windows import Window
 
 from geoposition.errors import MissingFileError, ProductError, UnsupportedError
@@ -143,16 +141,22 @@ def write_rows(raster: Any, first_row: int, pixels: NDArray[Any]) -> None:
     raster.write(pixels, window=Window(0, first_row, cols, rows))
 
 
-def to_cog(source: Path, target: Path, compress: str, averaged: bool = True) -> None:
-    """Copy `source` to a cloud-optimised GeoTIFF with overviews; tags and RPC go along."""
+def to_cog(source: Path, target: Path, compress: str, overviews: str = "average") -> None:
+    """Copy `source` to a cloud-optimised GeoTIFF; tags and RPC go along.
+
+    `overviews` are "average", "nearest" (of codes), or "none".
+    """
     options: dict[str, Any] = {
         "COMPRESS": compress.upper(),
         "BLOCKSIZE": TILE,
         "NUM_THREADS": "ALL_CPUS",
         "BIGTIFF": "IF_SAFER",
-        "RESAMPLING": "AVERAGE" if averaged else "NEAREST",
     }
-    if compress == "deflate":
+    if overviews == "none":
+        options["OVERVIEWS"] = "NONE"
+    else:
+        options["RESAMPLING"] = overviews.upper()
+    if compress in ("deflate", "zstd"):
         options["LEVEL"] = 1
     if compress != "none":
         options["PREDICTOR"] = "YES"
@@ -162,25 +166,6 @@ def to_cog(source: Path, target: Path, compress: str, averaged: bool = True) -> 
             rasterio.shutil.copy(source, target, driver="COG", **options)
         except RasterioError as error:
             raise ProductError(target, "", f"a writable place expected ({_line(error)})") from None
-
-
-def overview(path: Path, longest: int) -> NDArray[Any]:
-    """First band of a raster, averaged to at most `longest` rows and columns."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path) as raster:
-            factor = max(raster.height, raster.width) / longest
-            shape = (
-                max(int(raster.height / max(factor, 1.0)), 1),
-                max(int(raster.width / max(factor, 1.0)), 1),
-            )
-            band: NDArray[Any] = raster.read(1, out_shape=shape, resampling=Resampling.average)
-    return band
-
-
-def gdal_rpcs(fields: dict[str, Any]) -> RPC:
-    """Return GDAL's RPC of its named numbers."""
-    return RPC(**fields)
 
 
 def _line(error: Exception) -> str:

@@ -14,13 +14,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy import optimize
 
 from geoposition.arrays import FloatArray
 from geoposition.errors import ArgumentError
 
 _OVERSAMPLING: Final = 8
 _LEAST: Final = 16
+_ITERATIONS: Final = 30
+_SETTLED_CYCLES: Final = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,30 +128,36 @@ class _Fit:
             angle = 2.0 * np.pi * np.outer(t, f)
             return np.concatenate([np.cos(angle), np.sin(angle), np.ones((len(t), 1))], axis=1)
 
-        def residual(scaled: FloatArray) -> FloatArray:
-            columns = design(scaled / span)
-            solution = np.linalg.lstsq(columns, values, rcond=None)[0]
-            return np.asarray(values - columns @ solution)
-
         start = np.array(frequencies) * span
-        solved = optimize.least_squares(
-            residual, start, bounds=(start - 0.5, start + 0.5), x_scale=0.1, max_nfev=30
-        )
-        f = solved.x / span
-        columns = design(f)
-        solution: FloatArray = np.linalg.lstsq(columns, values, rcond=None)[0]
-        rest = values - columns @ solution
-        m = len(f)
-        a: FloatArray = solution[:m]
-        b: FloatArray = solution[m : 2 * m]
-        # the third parameter of a line is its number of cycles in the span
-        turn = 2.0 * np.pi * t[:, None] / span
-        slope = turn * (b * columns[:, :m] - a * columns[:, m : 2 * m])
-        full = np.concatenate([columns, slope], axis=1)
+        cycles, m = start.copy(), len(start)
+        for _ in range(_ITERATIONS):
+            columns = design(cycles / span)
+            solution = _solved(columns, values)
+            a, b = solution[:m], solution[m : 2 * m]
+            # the third parameter of a line is its number of cycles in the span
+            turn = 2.0 * np.pi * t[:, None] / span
+            slope = turn * (b * columns[:, :m] - a * columns[:, m : 2 * m])
+            full = np.concatenate([columns, slope], axis=1)
+            rest = values - columns @ solution
+            step = _solved(full, rest)[2 * m + 1 :]
+            moved = np.clip(cycles + np.clip(step, -0.2, 0.2), start - 0.5, start + 0.5)
+            settled = np.max(np.abs(moved - cycles)) < _SETTLED_CYCLES
+            if settled:
+                break
+            cycles = moved
+        f = cycles / span
         freedom = max(len(t) - full.shape[1], 1)
         covariance = np.linalg.pinv(full.T @ full) * float(rest @ rest) / freedom
         lines = tuple(_line(k, m, f, a, b, covariance, span, middle) for k in range(m))
         return cls(lines, rest)
+
+
+def _solved(columns: FloatArray, values: FloatArray) -> FloatArray:
+    """Least-squares solution; the columns are few and of like size, so normal equations do."""
+    normal = columns.T @ columns
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), 1e-300))
+    solved = np.linalg.lstsq(scale[:, None] * normal * scale, scale * (columns.T @ values), None)
+    return np.asarray(scale * solved[0])
 
 
 def _line(

@@ -106,7 +106,7 @@ def strips(
 
 
 def _row_maps(parts: Sequence[Part], rows: int) -> Iterator[tuple[RowMap, ...]]:
-    """Maps of each part for strips of `rows` rows; made for many rows at a time."""
+    """Give the maps of each part, strip by strip; they are made for many rows at a time."""
     lines = parts[0].mapping.target.shape[0]
     block = rows * max(_MAP_ROWS // rows, 1)
     different = {id(part.mapping): part.mapping for part in parts}

@@ -46,7 +46,7 @@ from geoposition.terrain import RasterTerrain
 
 OrthoMethod = Literal["nearest", "bilinear", "cubic", "lanczos", "area"]
 
-_WINDOW: Final = 1024
+_WINDOW: Final = (1024, 2048)
 _DEGREE_M: Final = 111320.0
 _MOST_FACTOR: Final = 16
 
@@ -66,7 +66,7 @@ class Request:
     occlusion: bool = False
     bound_px: float = DEFAULT_BOUND_PX
     nodata: float | None = None
-    compress: str = "deflate"
+    compress: str = "zstd"
 
 
 @dataclass(slots=True)
@@ -104,7 +104,7 @@ def run(product: Product, request: Request, progress: Progress) -> dict[str, obj
             if not tally.flags[Flag.OK]:
                 raise GeometryError("ortho: no pixel of the map is seen in the image")
             to_cog(raw, target, request.compress)
-            to_cog(raw_flags, flags, "deflate", averaged=False)
+            to_cog(raw_flags, flags, "deflate", "nearest")
     seconds = perf_counter() - begin
     rows, cols = grid.shape
     return {
@@ -149,7 +149,7 @@ def _windows(
         float("nan") if fill is None else fill, grid.crs, _transform(grid),
     )  # fmt: skip
     flag_layout = Layout(grid.shape, 1, "uint8", None, grid.crs, _transform(grid))
-    corners = [(r, c) for r in range(0, rows, _WINDOW) for c in range(0, cols, _WINDOW)]
+    corners = [(r, c) for r in range(0, rows, _WINDOW[0]) for c in range(0, cols, _WINDOW[1])]
     pending: Future[None] | None = None
     with (
         ThreadPoolExecutor(max_workers=1) as writer,
@@ -157,7 +157,7 @@ def _windows(
         written_raster(raw_flags, flag_layout) as flags_file,
     ):
         for done, (row, col) in enumerate(corners):
-            size = min(_WINDOW, rows - row), min(_WINDOW, cols - col)
+            size = min(_WINDOW[0], rows - row), min(_WINDOW[1], cols - col)
             pixels, flag, places = maker.window(grid.window(row, col, *size))
             tally.add(places, flag)
             if pending is not None:

@@ -29,7 +29,7 @@ from geoposition.reimage.raster_files import (
     written_raster,
 )
 from geoposition.reimage.resample import Method, Resampler
-from geoposition.reimage.sinusoids import Sinusoid, amplitude_spectrum, strongest
+from geoposition.reimage.sinusoids import Sinusoid
 from geoposition.reimage.steady import SteadyAttitude, SteadyOptions, steady_model
 from geoposition.reimage.strips import STRIP_ROWS, Part, Strip, displacement_px, parts_of, strips
 from geoposition.reimage.virtual import Segment, ideal_camera
@@ -38,6 +38,13 @@ from geoposition.rpc.fit_build import RpcFit
 from geoposition.rpc.formats import write_rpc
 from geoposition.rpc.formats._fields import COEFFICIENT_FIELDS, SCALAR_FIELDS
 from geoposition.rpc.model import RpcModel
+from geoposition.scripts.reimage_facts import (
+    displacement_facts,
+    height_error,
+    misfit_facts,
+    removed_facts,
+    strongest_lines,
+)
 from geoposition.scripts.reimage_input import AttitudeInput, jittered_model
 from geoposition.scripts.results import Progress, plain
 from geoposition.scripts.tables import write_table
@@ -48,9 +55,6 @@ from geoposition.terrain import RasterTerrain, Terrain
 STEM: Final = "steady"
 _PLACES: Final = 5
 """Columns at which displacements are followed."""
-_LINES: Final = 6
-_ARCSEC_RAD: Final = float(np.pi / 648000.0)
-_AXES: Final = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +72,7 @@ class Request:
     method: Method = "cubic"
     bound_px: float = DEFAULT_BOUND_PX
     nodata: float | None = None
-    compress: str = "deflate"
+    compress: str = "zstd"
     strip_rows: int = STRIP_ROWS
     report: bool = True
 
@@ -129,7 +133,7 @@ def _made(
             steady = replace(steady, camera=camera)
         terrain = _terrain(product, request, jittered)
         parts = parts_of(steady, jittered, terrain, segments, request.bound_px)
-        heights = _heights(terrain, jittered)
+        heights = jittered.height_range_m
         before = _fitted(jittered)
         after = fit_model(steady, limit_px=np.inf)
         rpc = replace(after.model, satellite=_name(product))
@@ -141,7 +145,7 @@ def _made(
     _tables(removed, made, folder)
     times = _line_times(steady)
     mean = np.nanmean(made.displacement_px, axis=1)
-    lines = (_lines(times, mean[:, 0]), _lines(times, mean[:, 1]))
+    lines = (strongest_lines(times, mean[:, 0]), strongest_lines(times, mean[:, 1]))
     summary: dict[str, object] = {
         "product": str(product.path),
         "image": str(request.image),
@@ -151,8 +155,8 @@ def _made(
         "shape": list(steady.shape),
         "resampling": request.method,
         "valid_share": made.valid / (steady.shape[0] * steady.shape[1]),
-        "removed": _removed_facts(removed),
-        "displacement_px": _displacement_facts(made.displacement_px, lines),
+        "removed": removed_facts(removed),
+        "displacement_px": displacement_facts(made.displacement_px, lines),
         "mapping": {
             "error_px": made.error_px,
             "bound_px": request.bound_px,
@@ -160,11 +164,11 @@ def _made(
             "terrain": "; ".join(terrain.provenance)
             if not isinstance(terrain, float)
             else f"mean height {terrain:.1f} m",
-            "height_error_px": _height_error(parts, terrain, heights),
+            "height_error_px": height_error(parts, terrain, heights),
         },
         "rpc_misfit_px": {
-            "before": None if before is None else _misfit(before),
-            "after": _misfit(after),
+            "before": None if before is None else misfit_facts(before),
+            "after": misfit_facts(after),
         },
         "output": str(request.output),
     }
@@ -218,7 +222,8 @@ def _image(
         written_raster(raw, layout) as pixels,
         written_raster(mask, Layout((lines, samples), 1, "uint8")) as seen,
     ):
-        _georeference(pixels, rpc, request)
+        pixels.rpcs = gdal_rpc(rpc)
+        pixels.update_tags(STEADY_ATTITUDE=request.steady.words, RESAMPLING=request.method)
         pending: Future[None] | None = None
         for strip in strips(parts, image.lines, resampler, request.strip_rows):
             rows = slice(strip.first_row, strip.first_row + len(strip.valid))
@@ -231,7 +236,7 @@ def _image(
         if pending is not None:
             pending.result()
     to_cog(raw, folder / f"{STEM}.tif", request.compress)
-    to_cog(mask, folder / f"{STEM}_valid.tif", "deflate", averaged=False)
+    to_cog(mask, folder / f"{STEM}_valid.tif", "deflate", "none")
     raw.unlink()
     mask.unlink()
     if valid == 0:
@@ -245,14 +250,14 @@ def _store(strip: Strip, pixels: Any, seen: Any) -> None:
     write_rows(seen, strip.first_row, strip.valid[None])
 
 
-def _georeference(raster: Any, rpc: RpcModel, request: Request) -> None:
-    raster.rpcs = RPC(
+def gdal_rpc(rpc: RpcModel) -> RPC:
+    """Return `rpc` as GDAL's metadata has it."""
+    return RPC(
         **{key.lower(): getattr(rpc, name) for key, name in SCALAR_FIELDS.items()},
         **{key.lower(): getattr(rpc, name).tolist() for key, name in COEFFICIENT_FIELDS.items()},
         err_bias=rpc.err_bias_m,
         err_rand=rpc.err_rand_m,
     )
-    raster.update_tags(STEADY_ATTITUDE=request.steady.words, RESAMPLING=request.method)
 
 
 def _displacement_file(path: Path, moved: FloatArray, cols: FloatArray) -> None:
@@ -297,21 +302,6 @@ def _terrain(product: Product, request: Request, model: PushbroomModel) -> Terra
     return 0.5 * (model.height_range_m[0] + model.height_range_m[1])
 
 
-def _heights(terrain: Terrain | float, model: PushbroomModel) -> tuple[float, float]:
-    """Heights the ground may have: what a mean height stands for."""
-    return model.height_range_m
-
-
-def _height_error(
-    parts: Sequence[Part], terrain: Terrain | float, heights: tuple[float, float]
-) -> list[float]:
-    """Error, (row, col) px, at the ends of the height range of one height for all; 0 on a DEM."""
-    if not isinstance(terrain, float):
-        return [0.0, 0.0]
-    away = max(abs(heights[0] - terrain), abs(heights[1] - terrain))
-    return list(np.max([part.mapping.parallax_px_m for part in parts], axis=0) * away)
-
-
 def _nodata(image: ImageFile, request: Request) -> float | None:
     return request.nodata if request.nodata is not None else image.nodata
 
@@ -328,59 +318,5 @@ def _fitted(model: PushbroomModel) -> RpcFit | None:
         return None
 
 
-def _misfit(fit: RpcFit) -> dict[str, object]:
-    assert fit.check is not None
-    return {"row": fit.check.row.as_dict(), "col": fit.check.col.as_dict()}
-
-
 def _line_times(model: PushbroomModel) -> FloatArray:
     return model.camera.timing.time_s(np.arange(model.shape[0], dtype=np.float64))
-
-
-def _lines(times: FloatArray, values: FloatArray) -> tuple[Sinusoid, ...]:
-    """Strongest lines of a displacement; none where the image is too short."""
-    if len(times) < 64 or np.isfinite(values).sum() < 64:
-        return ()
-    order = slice(None, None, 1 if times[-1] > times[0] else -1)
-    return strongest(times[order], values[order], _LINES)
-
-
-def _removed_facts(removed: SteadyAttitude) -> dict[str, object]:
-    arcsec = removed.removed_rad / _ARCSEC_RAD
-    frequency, amplitude = amplitude_spectrum(removed.times_s, arcsec)
-    result: dict[str, object] = {}
-    for k, axis in enumerate(_AXES):
-        at = int(np.argmax(amplitude[:, k]))
-        result[axis] = {
-            "rms_arcsec": float(np.sqrt(np.mean(arcsec[:, k] ** 2))),
-            "peak_arcsec": float(np.abs(arcsec[:, k]).max()),
-            "strongest_hz": float(frequency[at]),
-            "strongest_arcsec": float(amplitude[at, k]),
-        }
-    return result
-
-
-def _displacement_facts(
-    moved: FloatArray, lines: tuple[tuple[Sinusoid, ...], tuple[Sinusoid, ...]]
-) -> dict[str, object]:
-    result: dict[str, object] = {}
-    for k, name in enumerate(("row", "col")):
-        part = moved[..., k][np.isfinite(moved[..., k])]
-        away = part - part.mean()
-        result[name] = {
-            "mean": float(part.mean()),
-            "rms": float(np.sqrt(np.mean(away**2))),
-            "max": float(np.abs(part).max()),
-            "lines": [
-                {
-                    "frequency_hz": line.frequency_hz,
-                    "amplitude_px": line.amplitude,
-                    "phase_rad": line.phase_rad,
-                    "sigma_frequency_hz": line.sigma_frequency_hz,
-                    "sigma_amplitude_px": line.sigma_amplitude,
-                    "sigma_phase_rad": line.sigma_phase_rad,
-                }
-                for line in lines[k]
-            ],
-        }
-    return result

@@ -64,7 +64,9 @@ def scene(size: int) -> PushbroomModel:
     knots = np.arange(-12.0, 12.5, 0.5)
     position, _ = itrs_from_gcrs(*told.orbit.states(knots), epoch, knots)
     middle = 0.5 * (size - 1)
-    directions = PolynomialDirections([0.0], [0.0, middle * _IFOV_RAD], middle, middle)
+    directions = PolynomialDirections(
+        np.zeros(1), np.array([0.0, middle * _IFOV_RAD]), middle, middle
+    )
     timing = ConstantLineRate(epoch, -half_s, _LINE_S)
     camera = LineCamera.single((size, size), timing, directions)
     ephemeris = Ephemeris.lagrange(epoch, knots, position)
@@ -72,7 +74,7 @@ def scene(size: int) -> PushbroomModel:
 
 
 def in_memory(size: int) -> dict[str, object]:
-    """Mapping and resampling of a uint16 image in memory; OpenCV's remap of ready maps beside."""
+    """Map and resample a uint16 image in memory; beside it OpenCV's remap with ready maps."""
     taken = scene(size)
     steady, _ = steady_model(taken)
     parts = parts_of(steady, taken, _HEIGHT_M)
@@ -139,7 +141,7 @@ def _reimage(model: PushbroomModel, image: Path, output: Path, compress: str) ->
 
 
 def ortho(size: int, folder: Path) -> dict[str, object]:
-    """An orthoimage by an RPC on a DEM; GDAL's exact and approximate warp of it beside."""
+    """Make an orthoimage with an RPC and a DEM; beside it GDAL's exact and approximate warp."""
     steady, _ = steady_model(scene(size))
     rpc = fit_model(steady).model
     centre = steady.image_to_ground([0.5 * size, 0.5 * size], _HEIGHT_M).geodetic
@@ -180,7 +182,7 @@ def _gdal(image: Path, like: Path, dem: Path, tolerance: float) -> float:
             dst_transform=transform, resampling=Resampling.bilinear, num_threads=2,
             tolerance=tolerance, RPC_DEM=str(dem),
         )  # fmt: skip
-    return 1e-6 * size * size / (perf_counter() - begin)
+    return float(1e-6 * size * size / (perf_counter() - begin))
 
 
 def _texture(rows: int, cols: int) -> NDArray[np.uint16]:

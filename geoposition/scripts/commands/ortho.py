@@ -41,7 +41,7 @@ def command(
     ] = None,
     compress: Annotated[
         Literal["none", "deflate", "lzw", "zstd"], typer.Option(help="Of the new image.")
-    ] = "deflate",
+    ] = "zstd",
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Bring an image to a map with its model and a DEM (orthorectification).

@@ -56,7 +56,7 @@ def command(
     ] = None,
     compress: Annotated[
         Literal["none", "deflate", "lzw", "zstd"], typer.Option(help="Of the new image.")
-    ] = "deflate",
+    ] = "zstd",
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Re-image as a perfectly steady camera would have it (steady-state re-imaging).
