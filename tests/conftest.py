@@ -7,6 +7,11 @@ from pathlib import Path
 
 import pytest
 
+if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
+    # Several processes share the cores; two threads at least, so that parallel code runs as such.
+    _share = (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+    os.environ.setdefault("NUMBA_NUM_THREADS", str(min(max(_share, 2), os.cpu_count() or 1)))
+
 _REAL = Path(
     os.environ.get("GEOPOSITION_REAL_DATA", Path(__file__).resolve().parents[2] / "shared" / "real")
 )
