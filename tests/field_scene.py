@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import rasterio
+from rasterio.errors import NotGeoreferencedWarning
 from scenes import Jitter, Orbit, Scene, build
 
 from geoposition.arrays import FloatArray
@@ -18,7 +20,7 @@ from geoposition.matching import ImageSource, open_image
 from geoposition.pushbroom import PushbroomModel
 from geoposition.reimage.ortho import OrthoGrid
 from geoposition.sensors.directions import PolynomialDirections
-from geoposition.sensors.line_camera import Ccd, LineCamera
+from geoposition.sensors.line_camera import Ccd
 from geoposition.terrain import RasterTerrain
 
 GSD_M = 10.0
@@ -61,7 +63,7 @@ def scene(
 
 @dataclass(frozen=True)
 class FieldScene:
-    """Files of a synthetic field, an image of it, and the models that took it and that claims to."""
+    """Files of a synthetic field, an image of it, the model that took it and the believed one."""
 
     believed: PushbroomModel
     true: PushbroomModel
@@ -90,11 +92,14 @@ class FieldScene:
 
 
 def write_image(path: Path, grey: FloatArray) -> None:
-    with rasterio.open(
-        path, "w", driver="GTiff", width=grey.shape[1], height=grey.shape[0], count=1,
-        dtype="float32", nodata=float("nan"),
-    ) as file:  # fmt: skip
-        file.write(grey.astype(np.float32), 1)
+    """Write a raster that is nowhere on Earth, as images are."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(
+            path, "w", driver="GTiff", width=grey.shape[1], height=grey.shape[0], count=1,
+            dtype="float32", nodata=float("nan"),
+        ) as file:  # fmt: skip
+            file.write(grey.astype(np.float32), 1)
 
 
 def make_field(
@@ -106,12 +111,12 @@ def make_field(
     seed: int = 0,
     dom_resolution_m: float = GSD_M,
 ) -> FieldScene:
-    """Write terrain, orthophoto and the image that `true` takes; the believed model has no error."""
+    """Write terrain, orthophoto and the image of `true`; the believed model knows no error."""
     true_model, believed = true.model(), scene(shape).model()
     extent = 1.25 * np.array(shape) * GSD_M + 6000.0
     ground = synthetic_terrain(
         LON_RAD, GROUND_LAT_RAD, extent[1] + 0.25 * extent[0], extent[0], seed=seed,
-        lowest_m=100.0, highest_m=900.0, step_rad=float(np.radians(4.0 / 3600.0)), shortest_m=2500.0,
+        lowest_m=100.0, highest_m=900.0, step_rad=2e-5, shortest_m=2500.0,
     )  # fmt: skip
     dem_path = folder / "dem.tif"
     ground.write(dem_path)
@@ -132,29 +137,3 @@ def make_field(
     grey = synthetic_image(true_model, terrain, texture, noise=noise, gain=0.8, offset=12.0)
     write_image(image_path, grey)
     return FieldScene(believed, true_model, ground, texture, image_path, dom_path, dem_path)
-
-
-def true_field(
-    field: FieldScene, n: tuple[int, int] = (400, 60)
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Image points, errors in line and sample, and shifts east and north, densely over the image."""
-    from geoposition.accuracy import enu_errors_m
-    from geoposition.locate import locate
-
-    lines, samples = field.believed.shape
-    grid = np.stack(
-        np.meshgrid(
-            np.linspace(32, lines - 33, n[0]), np.linspace(32, samples - 33, n[1]), indexing="ij"
-        ),
-        axis=-1,
-    ).reshape(-1, 2)
-    ground = locate(field.believed, grid, field.terrain).geodetic
-    error = field.true_error_px(ground)
-    located = field.believed.image_to_ground(grid + error, ground[:, 2]).geodetic
-    return grid, error, -enu_errors_m(located, ground)[:, :2]
-
-
-def camera_with(model: PushbroomModel, camera: LineCamera) -> PushbroomModel:
-    return PushbroomModel(
-        camera, model.ephemeris, model.attitude, model.corrections, model.height_range_m
-    )

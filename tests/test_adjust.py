@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,6 +45,9 @@ from geoposition.errors import ArgumentError
 from geoposition.observations import TiePoints
 from geoposition.pushbroom import PushbroomModel
 from geoposition.rpc.fit import fit_model
+from geoposition.sensors.readers import open_product
+from geoposition.sensors.writers.csm import write_csm
+from geoposition.sensors.writers.model_file import write_model_file
 from geoposition.triangulate import triangulate
 
 GROUND = 42
@@ -108,6 +112,23 @@ def test_adjusted_models_are_models_like_any_other() -> None:
     found = triangulate(done.models, check.image, NOISE_PX)
     off = geodetic_to_ecef(found.geodetic) - geodetic_to_ecef(done.check.geodetic)
     assert np.max(np.abs(off)) < 5e-3
+
+
+def test_adjusted_models_are_written_and_read_back(tmp_path: Path) -> None:
+    """Every kind of correction survives our model file and, at its height, a CSM state."""
+    blocks = [block for block in full_blocks() if block.kind != "image"]
+    theta = np.concatenate([block.prior_sigma for block in blocks])
+    ground = common_ground(40, 4)
+    ground[:, 2] = 1000.0
+    for k, model in enumerate(adjusted_models(pair(False), blocks, theta)):
+        assert isinstance(model, PushbroomModel)
+        seen = model.ground_to_image(ground).image_px
+        write_model_file(model, tmp_path / f"{k}.toml")
+        again = open_product(tmp_path / f"{k}.toml").model.ground_to_image(ground).image_px
+        assert np.max(np.abs(again - seen)) < 1e-3
+        write_csm(model, tmp_path / f"{k}.json", height_m=1000.0)
+        again = open_product(tmp_path / f"{k}.json").model.ground_to_image(ground).image_px
+        assert np.max(np.abs(again - seen)) < 0.1
 
 
 def test_rpc_of_an_adjusted_model() -> None:

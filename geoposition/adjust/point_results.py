@@ -44,8 +44,9 @@ def results_of(
     tie = points.role == "tie"
     for g, group in enumerate(several):
         at = group.points
-        alone = intersected(equations, points, group, z)
+        # Ties already are where the images put them, but for a known height.
         known = points.known_root.shape[1] > 0
+        alone = intersected(equations, points, group, z, 1 if tie and not known else _MOST_STEPS)
         linear = linearise(equations, points, group, z) if known else alone.linear
         strong = linear.strong
         out.statistic[at] = statistics([linear], still, [used[g]])[0]
@@ -62,32 +63,31 @@ def results_of(
         out.geodetic[at[found]] = geodetic[found]
         out.covariance_enu_m2[at[found]] = (covariance @ axes)[found]
         given = points.known_ecef_m[at]
-        first = intersected(equations, points, group, zero)
-        if tie:
-            place, place_before = alone.ecef_m, first.ecef_m
-        else:
-            place, place_before = given, given
+        place = alone.ecef_m if tie else given
+        if not tie:
+            first = intersected(equations, points, group, zero, _MOST_STEPS)
             out.error_enu_m[at] = _enu(alone.ecef_m - given, given)
             out.error_before_enu_m[at] = _enu(first.ecef_m - given, given)
         _residuals(out.residual_px, equations, points, group, z, place)
-        _residuals(out.residual_before_px, equations, points, group, zero, place_before)
     back = np.argsort(points.source)
     rows = ("point", "product", "image_px", "residual_px", "residual_before_px")
     assert len(out.status) == n
     return replace(out, **{name: getattr(out, name)[back] for name in rows})
 
 
-def intersected(equations: Equations, points: PointSet, group: Group, z: FloatArray) -> Alone:
+def intersected(
+    equations: Equations, points: PointSet, group: Group, z: FloatArray, steps: int
+) -> Alone:
     """Points of `group` from the images alone; one in a single image keeps its height."""
     at = group.points
     ecef = points.ecef_m.copy()
     linear = linearise(equations, points, group, z, known=False)
     zero = np.zeros(len(z))
-    for _ in range(_MOST_STEPS):
+    for count in range(steps):
         step = linear.step_m(zero)
         near = np.linalg.norm(step, axis=1) < _FARTHEST_M
         ecef[at[near]] += step[near]
-        if not np.any(near) or np.max(np.abs(step[near])) < _STEP_M:
+        if count == steps - 1 or not np.any(near) or np.max(np.abs(step[near])) < _STEP_M:
             break
         linear = linearise(equations, replace(points, ecef_m=ecef), group, z, known=False)
     return Alone(np.where(linear.strong[:, None], ecef[at], np.nan), linear)
@@ -136,7 +136,7 @@ def _empty(points: PointSet) -> PointResults:
         product=points.product,
         image_px=points.image_px,
         residual_px=nan(m, 2),
-        residual_before_px=nan(m, 2),
+        residual_before_px=points.first_residual_px,
     )
 
 

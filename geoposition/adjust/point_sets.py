@@ -36,7 +36,8 @@ class PointSet:
     `root` (rows or 1, 2, 2) is L⁻¹ of the image points' covariance, one for all where they are
     equal. What is known of a point itself stands in `known_root` (n, k, 3), acting on ECEF
     metres, and `known_ecef_m` (n, 3): k is 3 for control, 1 for a height, 0 for nothing.
-    `ecef_m` (n, 3) is where the point is now, `sights` has the lines of sight of all rows.
+    `ecef_m` (n, 3) is where the point is now, `sights` has the lines of sight of all rows;
+    `first_residual_px` (rows, 2) are the residuals with the models as they came.
     """
 
     role: Role
@@ -51,6 +52,7 @@ class PointSet:
     ecef_m: FloatArray
     sights: Sights
     point_flag: FlagArray
+    first_residual_px: FloatArray
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -135,6 +137,7 @@ def of_control(
         ecef_m=ecef.copy(),
         sights=all_sights(models, product, px, heights),
         point_flag=flag,
+        first_residual_px=_misfit_px(models, product, px, np.repeat(control.geodetic, counts, 0)),
     )
 
 
@@ -186,7 +189,19 @@ def of_ties(
         ecef_m=ecef,
         sights=all_sights(models, product, px, np.repeat(geodetic[:, 2], counts)),
         point_flag=flag,
+        first_residual_px=found.image_residual_px[order],
     )
+
+
+def _misfit_px(
+    models: Sequence[SensorModel], product: IntArray, image_px: FloatArray, geodetic: FloatArray
+) -> FloatArray:
+    """Observed less projected (rows, 2) of the ground of each row."""
+    out = np.full(image_px.shape, np.nan)
+    for image in np.unique(product):
+        rows = np.flatnonzero(product == image)
+        out[rows] = image_px[rows] - models[int(image)].ground_to_image(geodetic[rows]).image_px
+    return out
 
 
 def _roots(image: TiePoints, order: IntArray, sigma_px: ArrayLike) -> FloatArray:

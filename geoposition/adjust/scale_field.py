@@ -15,15 +15,13 @@ from geoposition.arrays import FloatArray
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import GeometryError
 from geoposition.flags import has_result
-from geoposition.pushbroom import PushbroomModel
 from geoposition.sensor_model import SensorModel
-from geoposition.triangulate.scale import quadratic_terms
+from geoposition.triangulate.scale import clear_samples, quadratic_terms
 
 _LINES: Final = 17
 _SAMPLES: Final = 9
 _HEIGHTS: Final = 3
 _STEP_PX: Final = 2.0
-_CLEAR_PX: Final = 2.0 * _STEP_PX
 _LEAST_RANGE_M: Final = 200.0
 
 
@@ -43,7 +41,7 @@ class ScaleField:
         lines, samples = model.shape
         mesh = np.meshgrid(
             np.linspace(0.0, lines - 1.0, _LINES),
-            _clear_samples(model),
+            clear_samples(model, _SAMPLES),
             np.linspace(middle - half, middle + half, _HEIGHTS),
             indexing="ij",
         )
@@ -71,14 +69,3 @@ class ScaleField:
         place = (np.column_stack([image_px, height_m]) - self.centre) / self.extent
         result: FloatArray = quadratic_terms(place) @ self.coefficients
         return result.reshape(-1, 2, 3)
-
-
-def _clear_samples(model: SensorModel) -> FloatArray:
-    """Choose samples over the row, none so close to a seam that differences would cross it."""
-    samples = np.linspace(0.0, model.shape[1] - 1.0, _SAMPLES)
-    if isinstance(model, PushbroomModel):
-        for detector in model.camera.detectors[1:]:
-            seam = detector.first_sample - 0.5
-            close = np.abs(samples - seam) < _CLEAR_PX
-            samples[close] = seam + _CLEAR_PX
-    return samples

@@ -27,7 +27,7 @@ from geoposition.sensor_model import SensorModel
 MOST_ITERATIONS: Final = 20
 _STEP_SIGMA: Final = 1e-3
 """A step this small, in standard deviations of the solution itself, ends the iteration."""
-_POINT_STEP_M: Final = 1e-2
+_POINT_STEP_M: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)

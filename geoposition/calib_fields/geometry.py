@@ -96,7 +96,10 @@ class Dom:
         return OrthoGrid(grid.crs, grid.left, grid.top, grid.resolution * factor, (rows, cols))
 
     def read(self, window: OrthoGrid) -> FloatArray:
-        """Grey values (rows, cols) of a window of a `coarser` lattice; NaN where there are none."""
+        """Grey values (rows, cols) of a window of a `coarser` lattice; NaN where there are none.
+
+        A coarse pixel that lies across the seam of two tiles is left out.
+        """
         res = self.grid.resolution
         factor = round(window.resolution / res)
         out = np.full(window.shape, np.nan)

@@ -146,10 +146,14 @@ class _Patches(NamedTuple):
     @classmethod
     def lost(cls, n: int, cause: Cause) -> _Patches:
         """Of `n` patches that came to nothing for one `cause`."""
-        shapes: tuple[tuple[int, ...], ...] = ((3,), (2,), (2,), (2, 2), (2,), (2, 2), ())
+
+        def empty(*shape: int) -> FloatArray:
+            return np.full((n, *shape), np.nan)
+
         return cls(
-            *(np.full((n, *shape), np.nan) for shape in shapes), cause=np.full(n, float(cause))
-        )
+            empty(3), empty(2), empty(2), empty(2, 2), empty(2), empty(2, 2), empty(),
+            np.full(n, float(cause)),
+        )  # fmt: skip
 
 
 def match_dom(

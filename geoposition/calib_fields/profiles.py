@@ -116,7 +116,7 @@ def residual_spectrum(
         power = _power(t, left, frequency)
         variance = np.maximum(left.var(axis=0), 1e-12)
         independent = max(len(t) / dependence, 4.0)
-        z = 0.25 * independent * np.sum(power / variance, axis=1) * 2.0
+        z = 0.25 * independent * np.sum(power / variance, axis=1)
         if first is None:
             first = np.sqrt(power)
             noise = float(np.sqrt(4.0 * np.mean(variance) / independent))

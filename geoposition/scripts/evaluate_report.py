@@ -52,7 +52,7 @@ def build_report(results: Sequence[SceneResult], inputs: Mapping[str, str]) -> R
         f"{name}: {_options(result)}" for name, result in zip(names, results, strict=True)
     )
     if several:
-        title, keys = f"Geometric accuracy of {len(results)} images", ()
+        title = f"Geometric accuracy of {len(results)} images"
         sizes = [result.evaluation.estimates["relative_px"].value for result in results]
         summary = (
             f"{len(results)} images matched with reference orthophotos. Relative accuracy after "
@@ -60,7 +60,8 @@ def build_report(results: Sequence[SceneResult], inputs: Mapping[str, str]) -> R
             f"{number(max(sizes))} px."
         )
     else:
-        title, keys, summary = f"Geometric accuracy of {names[0]}", _keys(first), _summary(first)
+        title, summary = f"Geometric accuracy of {names[0]}", _summary(first)
+    keys = () if several else _keys(first)
     return Report(title, summary, keys, sections, provenance(facts))
 
 

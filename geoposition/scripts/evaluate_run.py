@@ -18,9 +18,9 @@ from geoposition.calib_fields.geometry import Dom
 from geoposition.calib_fields.match import Cause, DomMatches, DomMatchOptions, match_dom
 from geoposition.calib_fields.relative import RELATIVES
 from geoposition.errors import ArgumentError, MissingFileError, ProductError
-from geoposition.matching import ImageSource, open_image
+from geoposition.matching import ImageSource
 from geoposition.product import Product
-from geoposition.rpc.model import RpcModel
+from geoposition.scripts.product_images import image_of
 from geoposition.scripts.results import Progress, plain
 from geoposition.scripts.tables import whole_file, write_points
 from geoposition.sensors.readers import open_product
@@ -183,22 +183,12 @@ def _one(
         line_period_s=settings.line_period_s,
     )
     product = open_product(path)
-    source = _source(product, settings.image)
+    source = image_of(product, settings.image)
     dom = Dom.open(settings.dom, settings.dom_band)
     terrain = RasterTerrain(settings.dem, settings.geoid)
     matches = match_dom(source, product.model, dom, terrain, matching, progress)
     evaluation = evaluate(matches, product.model, options)
     return SceneResult(facts, product, source, dom, settings, terrain.provenance, evaluation)
-
-
-def _source(product: Product, path: Path | None) -> ImageSource:
-    path = path or product.image_path
-    if path is None:
-        raise ProductError(product.path, "", "no image lies beside it: name it with --image")
-    if path == product.path and isinstance(product.model, RpcModel):
-        # The RPC read from an image is in that image's own pixels, crop or not.
-        return open_image(path, first_pixel=(0, 0))
-    return open_image(path)
 
 
 def _summary(result: SceneResult) -> dict[str, object]:

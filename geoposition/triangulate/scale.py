@@ -17,11 +17,14 @@ from geoposition.arrays import FloatArray
 from geoposition.error_budget.image_scale import image_scale_at
 from geoposition.error_budget.model_error import ModelError, image_error_covariance
 from geoposition.errors import GeometryError
+from geoposition.pushbroom import PushbroomModel
 from geoposition.sensor_model import SensorModel
 
 _GRID: Final = 9
 _HEIGHTS: Final = 3
 _LEAST_RANGE_M: Final = 200.0
+CLEAR_PX: Final = 4.0
+"""Twice the step of the differences."""
 TERMS: Final = 10
 """Terms of the quadratic: 1, l, s, h, l², s², h², l s, l h, s h."""
 SCALE_SHAPE: Final = (2 + TERMS, 6)
@@ -43,7 +46,7 @@ def image_scale(model: SensorModel) -> FloatArray:
     )
     mesh = np.meshgrid(
         np.linspace(0.0, lines - 1.0, _GRID),
-        np.linspace(0.0, samples - 1.0, _GRID),
+        clear_samples(model, _GRID),
         np.linspace(low, high, _HEIGHTS),
         indexing="ij",
     )
@@ -59,6 +62,19 @@ def image_scale(model: SensorModel) -> FloatArray:
     packed[0] = np.concatenate([centre, 1.0 / extent])
     packed[2:] = np.linalg.lstsq(terms, jacobian[good].reshape(-1, 6), rcond=1e-12)[0]
     return packed
+
+
+def clear_samples(model: SensorModel, count: int) -> FloatArray:
+    """Choose `count` samples over the row, none so near a seam that differences would cross it.
+
+    Lines jump by some pixels from one CCD to the next.
+    """
+    samples = np.linspace(0.0, model.shape[1] - 1.0, count)
+    if isinstance(model, PushbroomModel):
+        for detector in model.camera.detectors[1:]:
+            seam = detector.first_sample - 0.5
+            samples[np.abs(samples - seam) < CLEAR_PX] = seam + CLEAR_PX
+    return samples
 
 
 def quadratic_terms(p: FloatArray) -> FloatArray:

@@ -1,0 +1,180 @@
+"""Attitude biases of a simulated pair from control and matches: ours beside SciPy.
+
+Both solve one problem: constant attitude biases of two images, 200 control points, and matches
+whose ground points are unknown too. SciPy's `least_squares` gets the same residuals and the same
+analytic derivatives, as a sparse Jacobian over biases and points. Run it alone with
+`python -m geoposition.scripts.bench.adjustment [matches]`.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.sparse import csr_array
+
+from geoposition.adjust import Block, adjust, adjusted_models, attitude_bias
+from geoposition.adjust.linear import whitened_rows
+from geoposition.adjust.point_sets import PointSet, groups, of_control, of_ties
+from geoposition.adjust.solve import equations_of
+from geoposition.arrays import FloatArray
+from geoposition.flags import Flag
+from geoposition.observations import ControlPoints, TiePoints, diagonal_covariance
+from geoposition.sensor_model import SensorModel
+from geoposition.sensors.simulate import ARCSEC_RAD, SceneOptions, simulate_scene, zy3_cameras
+
+CONTROL: Final = 200
+MATCHES: Final = 100_000
+TARGET_S: Final = 3.0
+"""Two images, 200 control and 100,000 tie points, on two cores."""
+NOISE_PX: Final = 0.3
+GPS_M: Final = 0.05
+SCIPY_MATCHES: Final = 10_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """What is measured, by which models, and the biases that are to come out."""
+
+    models: tuple[SensorModel, ...]
+    blocks: tuple[Block, ...]
+    control: ControlPoints
+    ties: TiePoints
+    theta: FloatArray
+
+
+def problem(matches: int = MATCHES, control: int = CONTROL, seed: int = 0) -> Problem:
+    """Simulate a ZY-3-like pair with attitude biases of some ten arcseconds."""
+    still = SceneOptions(
+        jitter_arcsec=(0.0, 0.0, 0.0),
+        drift_arcsec=0.0,
+        star_noise_arcsec=(0.0, 0.0, 0.0),
+        gps_sigma_m=0.0,
+        mounting_bias_arcsec=0.0,
+    )
+    forward, _, backward = zy3_cameras()
+    scene = simulate_scene(still, 1, (forward, backward))
+    models = (scene.true["forward"], scene.true["backward"])
+    blocks = tuple(
+        attitude_bias(name, models, [k], sigma_rad=20.0 * ARCSEC_RAD)
+        for k, name in enumerate(("forward", "backward"))
+    )
+    rng = np.random.default_rng(seed)
+    theta = rng.normal(0.0, 10.0 * ARCSEC_RAD, 6)
+    truth = adjusted_models(models, blocks, theta)
+
+    def seen(n: int) -> tuple[FloatArray, TiePoints]:
+        size = np.array(models[0].shape) - 500.0
+        image = rng.uniform(500.0, size, (2 * n, 2))
+        height = rng.uniform(600.0, 1500.0, 2 * n)
+        ground = truth[0].image_to_ground(image, height).geodetic
+        found = [model.ground_to_image(ground) for model in truth]
+        both = np.flatnonzero((found[0].flag == Flag.OK) & (found[1].flag == Flag.OK))[:n]
+        noisy = [
+            points.image_px[both] + rng.normal(0.0, NOISE_PX, (len(both), 2)) for points in found
+        ]
+        return ground[both], TiePoints.of_pair(noisy[0], noisy[1])
+
+    ground, image = seen(control)
+    covariance = diagonal_covariance(GPS_M, len(ground), 3)
+    known = ControlPoints(np.arange(len(ground)), ground, covariance, image)
+    return Problem(models, blocks, known, seen(matches)[1], theta)
+
+
+def ours(case: Problem) -> FloatArray:
+    """Adjust with everything it comes with: blunder search, covariance, adjusted models."""
+    done = adjust(
+        case.models,
+        case.blocks,
+        control=case.control,
+        ties=case.ties,
+        control_sigma_px=NOISE_PX,
+        tie_sigma_px=NOISE_PX,
+    )
+    return done.values
+
+
+def by_scipy(case: Problem) -> FloatArray:
+    """Solve for biases and all ground points with a sparse Jacobian."""
+    equations = equations_of(case.models, case.blocks)
+    sets = [
+        of_control("control", case.models, case.control, NOISE_PX),
+        of_ties(case.models, case.ties, NOISE_PX),
+    ]
+    p = len(equations.S)
+    first = p + 3 * np.cumsum([0, *(len(points) for points in sets)])
+
+    def rows(x: FloatArray) -> list[tuple[PointSet, Any, FloatArray, int]]:
+        theta = equations.S @ x[:p]
+        out = []
+        for points, start in zip(sets, first, strict=False):
+            offset = x[start : start + 3 * len(points)].reshape(-1, 3)
+            moved = replace(points, ecef_m=points.ecef_m + offset)
+            for group in groups(points, len(case.models)):
+                part = slice(0, len(group.points))
+                work = whitened_rows(equations, moved, group, part, theta, True)
+                out.append((points, group, work, int(start)))
+        return out
+
+    def residuals(x: FloatArray) -> FloatArray:
+        return np.concatenate([x[:p], *(work[:, :, -1].ravel() for _, _, work, _ in rows(x))])
+
+    def jacobian(x: FloatArray) -> csr_array:
+        data, row, column = [np.ones(p)], [np.arange(p)], [np.arange(p)]
+        at = p
+        for _, group, work, start in rows(x):
+            n, r, _ = work.shape
+            lines = at + np.arange(n * r).reshape(n, r)
+            by_unknown = work[:, :, 3:-1] @ equations.S
+            row.append(np.broadcast_to(lines[:, :, None], by_unknown.shape).ravel())
+            column.append(np.broadcast_to(np.arange(p), by_unknown.shape).ravel())
+            data.append(by_unknown.ravel())
+            own = start + 3 * group.points[:, None, None] + np.arange(3)
+            row.append(np.broadcast_to(lines[:, :, None], (n, r, 3)).ravel())
+            column.append(np.broadcast_to(own, (n, r, 3)).ravel())
+            data.append(-work[:, :, :3].ravel())
+            at += n * r
+        entries = (np.concatenate(data), (np.concatenate(row), np.concatenate(column)))
+        return csr_array(entries, shape=(at, int(first[-1])))
+
+    found = least_squares(
+        residuals, np.zeros(int(first[-1])), jacobian, x_scale="jac", tr_solver="lsmr"
+    )
+    return np.asarray(equations.S @ found.x[:p], dtype=np.float64)
+
+
+def seconds(run: Callable[[], FloatArray], times: int) -> tuple[float, FloatArray]:
+    """Best wall time of several runs, and what they found."""
+    best, found = np.inf, np.empty(0)
+    for _ in range(times):
+        start = time.perf_counter()
+        found = run()
+        best = min(best, time.perf_counter() - start)
+    return best, found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the times, and how far the biases are from the planted ones and from each other."""
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    matches = int(given[0]) if given else MATCHES
+    case = problem(matches)
+    ours(problem(500))  # compiles
+    elapsed, found = seconds(lambda: ours(case), 3)
+    worst = np.max(np.abs(found - case.theta)) / ARCSEC_RAD
+    print(f"ours   {matches} matches: {elapsed:.2f} s (target {TARGET_S:g} s at {MATCHES})")
+    print(f"       largest error of a bias {worst:.3f} arcsec")
+    small = problem(min(matches, SCIPY_MATCHES))
+    elapsed_ours, found = seconds(lambda: ours(small), 3)
+    elapsed_scipy, other = seconds(lambda: by_scipy(small), 1)
+    apart = np.max(np.abs(found - other)) / ARCSEC_RAD
+    print(f"{len(small.ties) // 2} matches: ours {elapsed_ours:.2f} s, SciPy {elapsed_scipy:.2f} s")
+    print(f"       ratio {elapsed_scipy / elapsed_ours:.1f}, apart {apart:.4f} arcsec")
+
+
+if __name__ == "__main__":
+    main()
