@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
-    # Several processes share the cores; two threads at least, so that parallel code runs as such.
+    # Several processes share the cores: threads that wait for each other's cores cost far more.
     _share = (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
-    os.environ.setdefault("NUMBA_NUM_THREADS", str(min(max(_share, 2), os.cpu_count() or 1)))
+    os.environ.setdefault("NUMBA_NUM_THREADS", str(max(_share, 1)))
 
 _REAL = Path(
     os.environ.get("GEOPOSITION_REAL_DATA", Path(__file__).resolve().parents[2] / "shared" / "real")
