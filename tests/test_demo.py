@@ -180,6 +180,7 @@ def test_intersect_command_gives_the_same(
     status, out, _ = run(
         capsys, "intersect", *(str(demo / f"{name}.toml") for name in CAMERAS),
         "--ties", str(demo / "ties.csv"), "--gcps", str(demo / "gcps.csv"), "--sigma", "0.3",
+        "--image-noise-only",
         "-o", str(tmp_path / "out.csv"), "--json",
     )  # fmt: skip
     assert status == 0

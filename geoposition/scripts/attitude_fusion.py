@@ -45,13 +45,13 @@ _WILD_NIS: Final = 30.0
 """Mean NIS, 3 where all is right, from which on the estimate deserves a warning."""
 
 _METHODS: Final = {
-    "ekf": ("ekf", "filter_forward"),
-    "ukf": ("ukf", "filter_forward"),
-    "cf": ("complementary", "filter_forward"),
-    "cf-ukf": ("complementary", "cf_ukf"),
-    "rts": ("smooth", "rts"),
-    "two-filter": ("smooth", "two_filter"),
-    "graph": ("factor_graph", "smooth"),
+    "ekf": ("filters.ekf", "filter_forward"),
+    "ukf": ("filters.ukf", "filter_forward"),
+    "cf": ("filters.complementary", "filter_forward"),
+    "cf-ukf": ("filters.complementary", "cf_ukf"),
+    "rts": ("smoothers.smooth", "rts"),
+    "two-filter": ("smoothers.smooth", "two_filter"),
+    "graph": ("graph.factor_graph", "smooth"),
 }
 
 
@@ -134,8 +134,8 @@ def run_method(
     method: Callable[..., AttitudeEstimate] = getattr(import_module(f"{package}.{module}"), name)
     more: dict[str, Any] = {}
     if options.robust:
-        graph = import_module(f"{package}.factor_graph")
-        loss = import_module(f"{package}.factor_graph_robust")
+        graph = import_module(f"{package}.graph.factor_graph")
+        loss = import_module(f"{package}.graph.robust")
         more["options"] = graph.GraphOptions(robust=loss.RobustNoise("huber"))
     return method(telemetry.star, telemetry.need_gyro, settings, telemetry.mounting, **more)
 

@@ -206,6 +206,7 @@ def _next(result: DemoResult, folder: str) -> Section:
                     ),
                     (
                         f"geoposition intersect {names} --ties ties.csv --gcps gcps.csv "
+                        "--image-noise-only "
                         f"--sigma {result.options.image_sigma_px:g} -o out.csv",
                         "Intersect the tie points of all three and compare with the check points:",
                     ),
