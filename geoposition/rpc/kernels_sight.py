@@ -26,6 +26,7 @@ from geoposition.rpc.kernel_base import (
     cubic_gradient,
     wrapped,
 )
+from geoposition.sines import fill_sines
 
 
 @njit(**INLINE)
@@ -99,6 +100,12 @@ def sight_lines(
         h = np.zeros(BLOCK)
         lon_slope = np.zeros(BLOCK)
         lat_slope = np.zeros(BLOCK)
+        sin_lon = np.zeros(BLOCK)
+        cos_lon = np.zeros(BLOCK)
+        sin_lat = np.zeros(BLOCK)
+        cos_lat = np.zeros(BLOCK)
+        o = np.zeros((3, BLOCK))
+        d = np.zeros((3, BLOCK))
         for begin in range(task * TASK, min(n, (task + 1) * TASK), BLOCK):
             m = min(BLOCK, n - begin)
             source = geodetic[3 * begin : 3 * (begin + m)]
@@ -108,27 +115,33 @@ def sight_lines(
                 lon[i] = source[U3 * i]
                 lat[i] = source[U3 * i + U1]
                 h[i] = source[U3 * i + U2]
+            fill_sines(lon, m, sin_lon, cos_lon)
+            fill_sines(lat, m, sin_lat, cos_lat)
             for i in range(BLOCK):
                 lon_slope[i], lat_slope[i] = _slope_of_sight(c, p, lon[i], lat[i], h[i])
-            for i in range(uint64(m)):
-                sin_lon = math.sin(lon[i])
-                cos_lon = math.cos(lon[i])
-                sin_lat = math.sin(lat[i])
-                cos_lat = math.cos(lat[i])
-                w2 = 1.0 - WGS84_E2 * sin_lat * sin_lat
+            for i in range(BLOCK):
+                w2 = 1.0 - WGS84_E2 * sin_lat[i] * sin_lat[i]
                 normal_m = WGS84_A_M / math.sqrt(w2)
                 polar_m = normal_m * (1.0 - WGS84_E2)
-                across_m = (normal_m + h[i]) * cos_lat
+                across_m = (normal_m + h[i]) * cos_lat[i]
                 east = across_m * lon_slope[i]
                 north = (polar_m / w2 + h[i]) * lat_slope[i]
                 # Per metre of height, in ECEF; its length is one over cos(zenith angle).
-                t_x = -sin_lon * east - sin_lat * cos_lon * north + cos_lat * cos_lon
-                t_y = cos_lon * east - sin_lat * sin_lon * north + cos_lat * sin_lon
-                t_z = cos_lat * north + sin_lat
+                outward = cos_lat[i] - sin_lat[i] * north
+                t_x = cos_lon[i] * outward - sin_lon[i] * east
+                t_y = sin_lon[i] * outward + cos_lon[i] * east
+                t_z = cos_lat[i] * north + sin_lat[i]
                 shrink = 1.0 / math.sqrt(t_x * t_x + t_y * t_y + t_z * t_z)
-                origin[U3 * i] = across_m * cos_lon + altitude_m * t_x
-                origin[U3 * i + U1] = across_m * sin_lon + altitude_m * t_y
-                origin[U3 * i + U2] = (polar_m + h[i]) * sin_lat + altitude_m * t_z
-                direction[U3 * i] = -t_x * shrink
-                direction[U3 * i + U1] = -t_y * shrink
-                direction[U3 * i + U2] = -t_z * shrink
+                o[0, i] = across_m * cos_lon[i] + altitude_m * t_x
+                o[1, i] = across_m * sin_lon[i] + altitude_m * t_y
+                o[2, i] = (polar_m + h[i]) * sin_lat[i] + altitude_m * t_z
+                d[0, i] = -t_x * shrink
+                d[1, i] = -t_y * shrink
+                d[2, i] = -t_z * shrink
+            for i in range(uint64(m)):
+                origin[U3 * i] = o[0, i]
+                origin[U3 * i + U1] = o[1, i]
+                origin[U3 * i + U2] = o[2, i]
+                direction[U3 * i] = d[0, i]
+                direction[U3 * i + U1] = d[1, i]
+                direction[U3 * i + U2] = d[2, i]

@@ -17,19 +17,22 @@ from numba import njit, prange
 from geoposition.arrays import FlagArray, FloatArray
 from geoposition.constants import WGS84_A_M, WGS84_E2
 from geoposition.flags import Flag
+from geoposition.sines import fill_sines
 
 _OUTSIDE_IMAGE = int(Flag.OUTSIDE_IMAGE)
 _WEAK_GEOMETRY = int(Flag.WEAK_GEOMETRY)
 # NaN must keep its meaning, so only the reorderings of fast-math that respect it.
 _FAST = {"contract", "arcp", "nsz", "reassoc"}
 
-_LANES = 128
-_TASK = 32 * _LANES
-_SMALL = 0.1
+_LANES = 64
+_TASK = 64 * _LANES
 # Rows of the work array: image scales of a and b (6 each), their image covariances (3 each),
-# then the weighted normal matrices (6 each), the gap (3), sines and cosines (4).
-_J, _C, _N, _GAP, _ANGLES = 0, 12, 18, 30, 33
-_ROWS = 37
+# then the weighted normal matrices (6 each), the gap (3), sines and cosines (4), the points (3).
+# Results go where the image scales and covariances were: moved points (3), covariances (6),
+# the normal matrix's determinant.
+_J, _C, _N, _GAP, _ANGLES, _POINT = 0, 12, 18, 30, 33, 37
+_MOVED, _COVARIANCE, _DETERMINANT = 0, 3, 9
+_ROWS = 40
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
@@ -38,7 +41,6 @@ def _fill_fields(
     w: FloatArray,
     image: int,
     image_px: FloatArray,
-    geodetic: FloatArray,
     packed: FloatArray,
     errors: FloatArray,
     noise: FloatArray,
@@ -80,7 +82,7 @@ def _fill_fields(
         for i in range(n):
             a = (image_px[i, 0] - c0) * s0
             b = (image_px[i, 1] - c1) * s1
-            c = (geodetic[i, 2] - c2) * s2
+            c = (w[_POINT + 2, i] - c2) * s2
             w[row, i] = (
                 k0
                 + a * (k1 + a * k4 + b * k7 + c * k8)
@@ -110,28 +112,6 @@ def _fill_normal(n: int, w: FloatArray, image: int) -> None:
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _fill_angles(n: int, w: FloatArray, geodetic: FloatArray) -> None:
-    """Sines and cosines of longitude and latitude, by series about the block's first point."""
-    at = 0
-    while at < n - 1 and math.isnan(geodetic[at, 0]):
-        at += 1
-    for k in range(2):
-        middle = geodetic[at, k]
-        sin_0, cos_0 = math.sin(middle), math.cos(middle)
-        for i in range(n):
-            d = geodetic[i, k] - middle
-            q = d * d
-            s = d * (1.0 + q * (-1.0 / 6.0 + q * (1.0 / 120.0 + q * (-1.0 / 5040.0))))
-            c = 1.0 + q * (-0.5 + q * (1.0 / 24.0 + q * (-1.0 / 720.0 + q / 40320.0)))
-            w[_ANGLES + 2 * k, i] = sin_0 * c + cos_0 * s
-            w[_ANGLES + 2 * k + 1, i] = cos_0 * c - sin_0 * s
-        for i in range(n):
-            if abs(geodetic[i, k] - middle) > _SMALL:
-                w[_ANGLES + 2 * k, i] = math.sin(geodetic[i, k])
-                w[_ANGLES + 2 * k + 1, i] = math.cos(geodetic[i, k])
-
-
-@njit(cache=True, error_model="numpy", fastmath=_FAST)
 def _fill_gap(
     n: int,
     w: FloatArray,
@@ -157,10 +137,8 @@ def _fill_gap(
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FAST)
-def _finish(
-    n: int, w: FloatArray, geodetic: FloatArray, covariance: FloatArray, flags: FlagArray
-) -> None:
-    """Move the points to the weighted ones and write their covariances, east, north, up."""
+def _solve(n: int, w: FloatArray) -> None:
+    """Move the points to the weighted ones; their covariances east, north, up."""
     a, b = _N, _N + 6
     for i in range(n):
         xx = w[a, i] + w[b, i]
@@ -195,33 +173,46 @@ def _finish(
         inner = 1.0 - WGS84_E2 * sp * sp
         normal = WGS84_A_M / math.sqrt(inner)
         meridian = normal * (1.0 - WGS84_E2) / inner
-        h = geodetic[i, 2]
+        h = w[_POINT + 2, i]
         ahead = cl * dx + sl * dy
-        geodetic[i, 0] += (cl * dy - sl * dx) / ((normal + h) * cp)
-        geodetic[i, 1] += (cp * dz - sp * ahead) / (meridian + h)
-        geodetic[i, 2] = h + cp * ahead + sp * dz
+        w[_MOVED, i] = w[_POINT, i] + (cl * dy - sl * dx) / ((normal + h) * cp)
+        w[_MOVED + 1, i] = w[_POINT + 1, i] + (cp * dz - sp * ahead) / (meridian + h)
+        w[_MOVED + 2, i] = h + cp * ahead + sp * dz
 
         ex, ey, ez = cxy * cl - cxx * sl, cyy * cl - cxy * sl, cyz * cl - cxz * sl
         # Towards the meridian, flat: (cl, sl, 0).
         mx, my, mz = cxx * cl + cxy * sl, cxy * cl + cyy * sl, cxz * cl + cyz * sl
-        ee = cl * ey - sl * ex
         em = cl * ex + sl * ey
         mm = cl * mx + sl * my
-        covariance[i, 0, 0] = ee
-        en = cp * ez - sp * em
-        eu = cp * em + sp * ez
-        nu = cp * sp * (czz - mm) + (cp * cp - sp * sp) * mz
-        covariance[i, 0, 1] = en
-        covariance[i, 1, 0] = en
-        covariance[i, 0, 2] = eu
-        covariance[i, 2, 0] = eu
-        covariance[i, 1, 1] = cp * cp * czz - 2.0 * cp * sp * mz + sp * sp * mm
-        covariance[i, 1, 2] = nu
-        covariance[i, 2, 1] = nu
-        covariance[i, 2, 2] = cp * cp * mm + 2.0 * cp * sp * mz + sp * sp * czz
-        if flags[i] <= _OUTSIDE_IMAGE and not determinant > 0.0:
-            flags[i] = _WEAK_GEOMETRY
+        w[_COVARIANCE, i] = cl * ey - sl * ex
+        w[_COVARIANCE + 1, i] = cp * ez - sp * em
+        w[_COVARIANCE + 2, i] = cp * em + sp * ez
+        w[_COVARIANCE + 3, i] = cp * cp * czz - 2.0 * cp * sp * mz + sp * sp * mm
+        w[_COVARIANCE + 4, i] = cp * sp * (czz - mm) + (cp * cp - sp * sp) * mz
+        w[_COVARIANCE + 5, i] = cp * cp * mm + 2.0 * cp * sp * mz + sp * sp * czz
+        w[_DETERMINANT, i] = determinant
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FAST)
+def _write(
+    n: int, w: FloatArray, geodetic: FloatArray, covariance: FloatArray, flags: FlagArray
+) -> None:
+    """From the work rows to the points, their covariances and flags."""
     for i in range(n):
+        for j in range(3):
+            geodetic[i, j] = w[_MOVED + j, i]
+        covariance[i, 0, 0] = w[_COVARIANCE, i]
+        covariance[i, 0, 1] = w[_COVARIANCE + 1, i]
+        covariance[i, 0, 2] = w[_COVARIANCE + 2, i]
+        covariance[i, 1, 0] = w[_COVARIANCE + 1, i]
+        covariance[i, 1, 1] = w[_COVARIANCE + 3, i]
+        covariance[i, 1, 2] = w[_COVARIANCE + 4, i]
+        covariance[i, 2, 0] = w[_COVARIANCE + 2, i]
+        covariance[i, 2, 1] = w[_COVARIANCE + 4, i]
+        covariance[i, 2, 2] = w[_COVARIANCE + 5, i]
+    for i in range(n):
+        if flags[i] <= _OUTSIDE_IMAGE and not w[_DETERMINANT, i] > 0.0:
+            flags[i] = _WEAK_GEOMETRY
         if flags[i] > _OUTSIDE_IMAGE:
             for j in range(3):
                 geodetic[i, j] = np.nan
@@ -256,11 +247,16 @@ def weigh_pairs(
             last = min(first + _LANES, total)
             n = last - first
             ground = geodetic[first:last]
-            _fill_fields(n, w, 0, image_a[first:last], ground, fields[0], errors[0], noise[0])
-            _fill_fields(n, w, 1, image_b[first:last], ground, fields[1], errors[1], noise[1])
+            for i in range(n):
+                w[_POINT, i] = ground[i, 0]
+                w[_POINT + 1, i] = ground[i, 1]
+                w[_POINT + 2, i] = ground[i, 2]
+            _fill_fields(n, w, 0, image_a[first:last], fields[0], errors[0], noise[0])
+            _fill_fields(n, w, 1, image_b[first:last], fields[1], errors[1], noise[1])
             _fill_normal(n, w, 0)
             _fill_normal(n, w, 1)
-            _fill_angles(n, w, ground)
+            fill_sines(w[_POINT], n, w[_ANGLES], w[_ANGLES + 1])
+            fill_sines(w[_POINT + 1], n, w[_ANGLES + 2], w[_ANGLES + 3])
             _fill_gap(
                 n,
                 w,
@@ -269,4 +265,5 @@ def weigh_pairs(
                 origin_b[first:last],
                 direction_b[first:last],
             )
-            _finish(n, w, ground, covariance[first:last], flags[first:last])
+            _solve(n, w)
+            _write(n, w, ground, covariance[first:last], flags[first:last])
