@@ -9,8 +9,12 @@ import pytest
 import rasterio
 from rasterio.transform import from_origin
 
-from geoposition.errors import GeometryError, ProductError
-from geoposition.surface.compare import compare_surface
+from geoposition.datum import from_crs
+from geoposition.errors import GeometryError, ProductError, UnsupportedError
+from geoposition.surface.cells import surface_cells
+from geoposition.surface.compare import compare_points, compare_surface
+from geoposition.surface.dsm import BANDS
+from geoposition.terrain import RasterTerrain
 
 WEST, NORTH = 700_000.0, 4_900_000.0
 UTM = "EPSG:32631"
@@ -52,13 +56,13 @@ def test_a_shift_is_found(tmp_path: Path, shift: tuple[float, float, float]) -> 
     reference = raster(tmp_path / "ref.tif", 500, 1.0)
     surface = raster(tmp_path / "dsm.tif", 380, 1.0, shift, noise=0.3, west=WEST + 60, bands=3)
     found = compare_surface(surface, reference)
-    assert found.shift is not None
-    assert found.after is not None
-    np.testing.assert_allclose(found.shift.enu_m, shift, atol=0.05)
-    sigma = np.array(found.shift.sigma_enu_m)
-    assert np.all(np.abs(np.array(found.shift.enu_m) - shift) < 6 * sigma + 0.02)
-    assert found.after.nmad == pytest.approx(0.3, rel=0.1)
-    assert abs(found.after.median) < 0.02
+    assert found.differences.shift is not None
+    assert found.differences.after is not None
+    np.testing.assert_allclose(found.differences.shift.enu_m, shift, atol=0.05)
+    sigma = np.array(found.differences.shift.sigma_enu_m)
+    assert np.all(np.abs(np.array(found.differences.shift.enu_m) - shift) < 6 * sigma + 0.02)
+    assert found.differences.after.nmad == pytest.approx(0.3, rel=0.1)
+    assert abs(found.differences.after.median) < 0.02
     assert found.cover == pytest.approx(1.0, abs=0.01)
 
 
@@ -66,19 +70,24 @@ def test_offset_tilt_and_classes(tmp_path: Path) -> None:
     reference = raster(tmp_path / "ref.tif", 400, 1.0)
     surface = raster(tmp_path / "dsm.tif", 400, 1.0, (0, 0, 1.5), tilt=(3e-3, 4e-3))
     found = compare_surface(surface, reference)
-    assert found.tilt_mm_per_m == pytest.approx(5.0, rel=0.02)
-    assert found.tilt_azimuth_deg == pytest.approx(np.degrees(np.arctan2(3, 4)), abs=1.0)
-    counts = [part.count for part in found.by_slope]
-    assert sum(counts) == pytest.approx(found.before.count, rel=0.02)
-    assert all(part.count > 0 for part in found.by_aspect)
-    assert found.as_dict()["difference_m"]["count"] == found.before.count  # type: ignore[index]
+    assert found.differences.tilt_mm_per_m == pytest.approx(5.0, rel=0.02)
+    assert found.differences.tilt_azimuth_deg == pytest.approx(
+        np.degrees(np.arctan2(3, 4)), abs=1.0
+    )
+    counts = [part.count for part in found.differences.by_slope]
+    assert sum(counts) == pytest.approx(found.differences.before.count, rel=0.02)
+    assert all(part.count > 0 for part in found.differences.by_aspect)
+    assert found.as_dict()["difference_m"]["count"] == found.differences.before.count  # type: ignore[index]
 
 
 def test_a_shift_shows_by_aspect(tmp_path: Path) -> None:
     """Moved east, slopes that fall east are too high and those that fall west too low."""
     reference = raster(tmp_path / "ref.tif", 400, 1.0)
     surface = raster(tmp_path / "dsm.tif", 400, 1.0, (2.0, 0.0, 0.0))
-    medians = {part.name: part.median_m for part in compare_surface(surface, reference).by_aspect}
+    medians = {
+        part.name: part.median_m
+        for part in compare_surface(surface, reference).differences.by_aspect
+    }
     assert medians["E"] > 0.4
     assert medians["W"] < -0.4
     assert abs(medians["N"]) < 0.2
@@ -100,7 +109,7 @@ def test_a_coarse_reference_is_compared_with_means(tmp_path: Path) -> None:
     assert found.by_reference_cell is not None
     assert found.by_reference_cell.count >= 64
     assert found.by_reference_cell.rmse < 0.01
-    assert found.before.nmad > 1.0
+    assert found.differences.before.nmad > 1.0
 
 
 def test_flat_ground_tells_no_shift(tmp_path: Path) -> None:
@@ -115,9 +124,9 @@ def test_flat_ground_tells_no_shift(tmp_path: Path) -> None:
         with rasterio.open(paths[-1], "w", **profile) as out:
             out.write((level + 0.002 * np.sin(i + j)).astype(np.float32), 1)
     found = compare_surface(paths[1], paths[0])
-    assert found.shift is None
-    assert found.after is None
-    assert found.before.median == pytest.approx(0.7, abs=1e-3)
+    assert found.differences.shift is None
+    assert found.differences.after is None
+    assert found.differences.before.median == pytest.approx(0.7, abs=1e-3)
 
 
 def test_a_reference_elsewhere_is_refused(tmp_path: Path) -> None:
@@ -129,3 +138,40 @@ def test_a_reference_elsewhere_is_refused(tmp_path: Path) -> None:
     bare.write_bytes(b"not a raster")
     with pytest.raises(ProductError):
         compare_surface(bare, surface)
+
+
+def test_points_show_the_same_shift_as_a_surface(tmp_path: Path) -> None:
+    reference = raster(tmp_path / "ref.tif", 500, 1.0)
+    surface = raster(tmp_path / "dsm.tif", 380, 1.0, (3.2, -1.7, 5.5), noise=0.3, west=WEST + 60)
+    cells = surface_cells(surface)
+    rows = np.random.default_rng(4).choice(len(cells.height_m), 4000, replace=False)
+    points = from_crs(cells.crs, np.column_stack([cells.xy, cells.height_m])[rows])
+    points[::50] = np.nan
+    found = compare_points(points, reference)
+    assert found.shift is not None
+    assert found.after is not None
+    np.testing.assert_allclose(found.shift.enu_m, (3.2, -1.7, 5.5), atol=0.1)
+    assert found.after.nmad == pytest.approx(0.3, rel=0.1)
+    assert sum(part.count for part in found.by_slope) == pytest.approx(3920, rel=0.05)
+
+
+def test_points_elsewhere_are_refused(tmp_path: Path) -> None:
+    reference = raster(tmp_path / "ref.tif", 100, 1.0)
+    with pytest.raises(GeometryError, match="no heights where"):
+        compare_points(np.full((40, 3), 0.3), reference)
+    with pytest.raises(GeometryError, match="no heights where"):
+        compare_points(np.empty((0, 3)), reference)
+
+
+def test_a_surface_serves_as_terrain(tmp_path: Path) -> None:
+    """The first of several bands, if it is named `height`."""
+    plain = raster(tmp_path / "plain.tif", 100, 1.0)
+    layers = raster(tmp_path / "layers.tif", 100, 1.0, bands=3)
+    with pytest.raises(UnsupportedError, match="one band of heights"):
+        RasterTerrain(layers)
+    with rasterio.open(layers, "r+") as out:
+        out.descriptions = BANDS
+    cells = surface_cells(plain)
+    points = from_crs(cells.crs, np.column_stack([cells.xy, cells.height_m]))[5050:5060]
+    one, other = (RasterTerrain(path).height_at(points).height_m for path in (plain, layers))
+    np.testing.assert_array_equal(one, other)

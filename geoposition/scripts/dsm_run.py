@@ -21,7 +21,6 @@ from geoposition.dense import (
     coarse_surface,
     dense_points,
     level_field,
-    mutual_shifts_px,
     shifted_models,
     terrain_field,
 )
@@ -29,12 +28,11 @@ from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import has_result
 from geoposition.matching import ImageSource, MatchOptions, match_images
-from geoposition.observations import TiePoints
 from geoposition.product import Product
+from geoposition.scripts.dsm_agreement import Agreement, agree, require_own_images
 from geoposition.scripts.product_images import image_of
 from geoposition.scripts.results import Progress
 from geoposition.scripts.tables import whole_file
-from geoposition.sensor_model import SensorModel
 from geoposition.surface import (
     DsmGrid,
     PointCloud,
@@ -44,12 +42,9 @@ from geoposition.surface import (
     to_map,
 )
 from geoposition.terrain import RasterTerrain
-from geoposition.triangulate import triangulate
 
 _MATCHING: Final = {"tile_px": 384, "max_tiles": 12, "tile_features": 1500}
 """Ties for the bias and the heights' range: some thousands are plenty."""
-_SWAPPED: Final = 3.0
-"""So many times smaller residuals, with and without the bias, are no accident."""
 _FIELD_STEP_PX: Final = 64.0
 _HEIGHT_MARGIN_M: Final = 20.0
 _HEIGHT_MARGIN_SHARE: Final = 0.25
@@ -76,16 +71,6 @@ class Request:
     geoid: Path | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Agreement:
-    """What ties say: the shifts that make the models agree, and the ties' ground points."""
-
-    shifts_px: FloatArray
-    residual_px: tuple[float, float]
-    first_px: FloatArray
-    geodetic: FloatArray
-
-
 def run(
     products: Sequence[Product], images: Sequence[Path], request: Request, progress: Progress
 ) -> dict[str, object]:
@@ -100,7 +85,7 @@ def run(
     options = MatchOptions(heights_m=request.heights_m, **_MATCHING)
     ties = match_images(sources, models, options, progress)
     agreement = agree(models, ties)
-    _require_own_images(products, models, ties, agreement)
+    require_own_images(products, models, ties, agreement)
     _require_reference(request, agreement)
     matching = shifted_models(models, agreement.shifts_px)
     views = [
@@ -127,43 +112,6 @@ def run(
         "dense_to_surface": round(perf_counter() - matched, 2),
     }
     return facts | {"output": str(request.output)}
-
-
-def agree(models: Sequence[SensorModel], ties: TiePoints) -> Agreement:
-    """Find the relative bias of the models and the ties' ground points without it."""
-    shifts = mutual_shifts_px(models, ties)
-    as_is = triangulate(models, ties)
-    mended = triangulate(shifted_models(models, shifts), ties)
-    good = has_result(mended.flag)
-    if not good.any():
-        raise GeometryError("dsm: no tie point of the images can be intersected")
-    medians = tuple(float(np.nanmedian(points.residual_px)) for points in (as_is, mended))
-    rows = ties.of_product(0)
-    _, mine, theirs = np.intersect1d(ties.ids[rows], mended.ids[good], return_indices=True)
-    return Agreement(
-        shifts,
-        (medians[0], medians[1]),
-        np.array(ties.image_px[rows[mine]]),
-        mended.geodetic[good][theirs],
-    )
-
-
-def _require_own_images(
-    products: Sequence[Product],
-    models: Sequence[SensorModel],
-    ties: TiePoints,
-    agreement: Agreement,
-) -> None:
-    """Refuse a pair whose images suit each other's models clearly better than their own."""
-    if len(models) != 2:
-        return
-    other = agree(models[::-1], ties).residual_px
-    if all(_SWAPPED * a < b for a, b in zip(other, agreement.residual_px, strict=True)):
-        raise GeometryError(
-            f"{products[0].path.name} and {products[1].path.name}: the images are swapped, each "
-            f"suits the other's model ({other[0]:.1f} px apart instead of "
-            f"{agreement.residual_px[0]:.1f})"
-        )
 
 
 def _require_reference(request: Request, agreement: Agreement) -> None:

@@ -18,6 +18,7 @@ from geoposition.arrays import FloatArray, IntArray
 from geoposition.errors import GeometryError
 from geoposition.flags import has_result
 from geoposition.scripts.tie_tables import Checks, common
+from geoposition.surface import FEWEST_COMPARED, Comparison, compare_points
 from geoposition.terrain.raster import RasterTerrain
 from geoposition.triangulate import IntersectedPoints
 
@@ -44,18 +45,23 @@ class PointChecks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightDifferences:
-    """Heights found less a reference's: `difference_m` (points,), NaN where there is none."""
+    """Heights found less a reference's: `difference_m` (points,), NaN where there is none.
+
+    `comparison` says where they differ and by which shift; None of too few points.
+    """
 
     reference: Path
     provenance: tuple[str, ...]
     difference_m: FloatArray
     statistics: AxisStatistics
+    comparison: Comparison | None
 
     def as_dict(self) -> dict[str, object]:
         """Return the facts by name, fit for JSON."""
+        more = {} if self.comparison is None else self.comparison.as_dict()
         known = self.difference_m[np.isfinite(self.difference_m)]
         off = np.abs(known - self.statistics.median)
-        return {
+        return more | {
             "path": str(self.reference),
             "points": self.statistics.count,
             "difference_m": self.statistics.as_dict(),
@@ -89,4 +95,9 @@ def compare_heights(
     if not known.any():
         raise GeometryError(f"{reference}: the reference has no height at any of the points")
     difference[found[known]] = points.geodetic[found[known], 2] - heights.height_m[known]
-    return HeightDifferences(reference, terrain.provenance, difference, axis_statistics(difference))
+    comparison = None
+    if known.sum() >= FEWEST_COMPARED:
+        comparison = compare_points(points.geodetic[found[known]], reference, geoid)
+    return HeightDifferences(
+        reference, terrain.provenance, difference, axis_statistics(difference), comparison
+    )

@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 
 from geoposition.arrays import FloatArray
 from geoposition.scripts.figures import (
-    _STYLE,
     COLOURS,
     HEIGHT_MAP,
     SIGNED_MAP,
+    STYLE,
     HeightMap,
-    _png,
+    png,
 )
 
 _MOST_CELLS: Final = 90
@@ -29,7 +29,7 @@ def footprints(
     outlines: Mapping[str, FloatArray], points_deg: FloatArray, height_m: FloatArray
 ) -> bytes:
     """Outlines (n, 2) in degrees of images by name, and points (m, 2) coloured by height."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.4, 4.8), layout="constrained")
         axes = figure.add_subplot()
         for number, (name, outline) in enumerate(outlines.items()):
@@ -46,12 +46,12 @@ def footprints(
         bar = figure.colorbar(dots, ax=axes, shrink=0.8, pad=0.02)
         bar.set_label("ellipsoidal height, m")
         figure.legend(loc="outside lower center", ncols=3)
-        return _png(figure)
+        return png(figure)
 
 
 def match_density(places: Mapping[str, FloatArray]) -> bytes:
     """How many matches lie where in each image: places (n, 2) as (line, sample), by name."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(3.2 * len(places), 3.2), layout="constrained")
         row = np.atleast_1d(figure.subplots(1, len(places)))
         for k, (axes, (name, image_px)) in enumerate(zip(row, places.items(), strict=True)):
@@ -75,7 +75,7 @@ def match_density(places: Mapping[str, FloatArray]) -> bytes:
             figure.colorbar(image, ax=axes, location="bottom", pad=0.02, aspect=25).set_label(
                 "matches in a cell"
             )
-        return _png(figure)
+        return png(figure)
 
 
 def gridded(points_deg: FloatArray, values: FloatArray) -> HeightMap:
@@ -103,7 +103,7 @@ def gridded(points_deg: FloatArray, values: FloatArray) -> HeightMap:
 
 def height_maps(terrain: HeightMap, differences: Mapping[str, HeightMap]) -> bytes:
     """Beside each other: heights on a grid, and signed differences by name, each with its scale."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         count = 1 + len(differences)
         figure = Figure(figsize=(max(3.3 * count, 5.0), 3.8), layout="constrained")
         row = np.atleast_1d(figure.subplots(1, count, sharey=True))
@@ -112,7 +112,7 @@ def height_maps(terrain: HeightMap, differences: Mapping[str, HeightMap]) -> byt
         for axes, (title, difference) in zip(row[1:], differences.items(), strict=True):
             limit = max(float(np.nanquantile(np.abs(difference.height_m), 0.98)), 1e-3)
             _one_map(figure, axes, difference, title, "difference, m", limit)
-        return _png(figure)
+        return png(figure)
 
 
 def _one_map(

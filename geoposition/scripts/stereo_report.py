@@ -5,11 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from geoposition.accuracy import AxisStatistics
-from geoposition.scripts import figures, stereo_figures
 from geoposition.scripts.report import (
     Block,
-    Image,
     KeyFigure,
     Note,
     Report,
@@ -19,11 +16,10 @@ from geoposition.scripts.report import (
     provenance,
     render,
 )
+from geoposition.scripts.stereo_heights import height_blocks, statistics_cells
 from geoposition.scripts.stereo_run import Options, StereoRun
 from geoposition.scripts.stereo_sections import (
     bias_blocks,
-    degrees_of,
-    found_rows,
     geometry_blocks,
     match_blocks,
     names_of,
@@ -54,7 +50,7 @@ def build(run: StereoRun, options: Options, source: str) -> Report:
         Section("Matches", match_blocks(run)),
         Section("Relative bias", bias_blocks(run)),
         Section("Image residuals", residual_blocks(run)),
-        Section("Heights", _heights(run)),
+        Section("Heights", height_blocks(run)),
         Section("Stated accuracy", _accuracy(run)),
     ]
     if run.checks is not None:
@@ -115,51 +111,6 @@ def _keys(run: StereoRun) -> list[KeyFigure]:
     return keys
 
 
-def _heights(run: StereoRun) -> list[Block]:
-    good, degrees = found_rows(run), degrees_of(run)
-    terrain = stereo_figures.gridded(degrees, run.points.geodetic[good, 2])
-    maps = {}
-    if run.differences is not None:
-        off = run.differences.difference_m[good]
-        maps = {"Less the reference": stereo_figures.gridded(degrees, off)}
-    if not maps:
-        return [
-            Image(
-                stereo_figures.height_maps(terrain, {}),
-                "Heights of the intersected points, means of cells, metres.",
-                "Map of heights",
-            )
-        ]
-    assert run.differences is not None
-    return [
-        Image(
-            stereo_figures.height_maps(terrain, maps),
-            "Heights of the intersected points, means of cells, and their difference from the "
-            "reference, metres.",
-            "Maps of heights and of differences",
-        ),
-        Table(
-            "Height found less the reference's at the same place, metres.",
-            ("", "points", "minimum", "maximum", "mean", "median", "RMSE", "NMAD"),
-            [("height", str(run.differences.statistics.count),
-              *_cells(run.differences.statistics, ("minimum", "maximum", "mean", "median",
-                                                   "rmse", "nmad")))],
-        ),
-        Image(
-            figures.histograms(
-                {"height": run.differences.difference_m}, unit="height found less reference, m"
-            ),
-            "Distribution of the height differences, metres.",
-            "A histogram",
-        ),
-    ]  # fmt: skip
-
-
-def _cells(axis: AxisStatistics, names: tuple[str, ...]) -> list[str]:
-    signed = {"minimum", "maximum", "mean", "median"}
-    return [number(getattr(axis, name), 3, sign=name in signed) for name in names]
-
-
 def _accuracy(run: StereoRun) -> list[Block]:
     facts: Any = run.summary
     words = {"total": "all", "image_points": "image points", "models": "models"}
@@ -201,7 +152,7 @@ def _checks(run: StereoRun) -> list[Block]:
     assert run.checks is not None
     found = run.checks.statistics
     names = ("minimum", "maximum", "least", "most", "mean", "std", "rmse")
-    rows = [(_AXES[name], *_cells(found.axes[name], names)) for name in _AXES]
+    rows = [(_AXES[name], *statistics_cells(found.axes[name], names)) for name in _AXES]
     return [
         Table(
             f"Errors of the intersected check points, found less true, metres; {found.e.count} "

@@ -15,7 +15,7 @@ from rasterio.windows import Window, from_bounds
 
 from geoposition.arrays import BoolArray, FloatArray, IntArray
 from geoposition.constants import WGS84_A_M
-from geoposition.datum import from_crs, to_crs
+from geoposition.datum import from_crs, to_crs, utm_epsg
 from geoposition.errors import ProductError
 
 _MOST: Final = 1_000_000
@@ -78,6 +78,29 @@ def surface_cells(path: str | PathLike[str], most: int = _MOST) -> SurfaceCells:
     return SurfaceCells(crs.to_wkt(), place, np.concatenate(heights), unit, spacing, stride)
 
 
+def point_cells(geodetic: FloatArray) -> SurfaceCells:
+    """Ground points (n, 3) as cells, in the UTM zone of their middle; each stands for itself."""
+    if not len(geodetic):
+        return SurfaceCells("EPSG:4326", np.empty((0, 2)), np.empty(0), np.ones(2), 1.0, 1)
+    middle = np.median(geodetic, axis=0)
+    crs = f"EPSG:{utm_epsg(float(middle[0]), float(middle[1]))}"
+    place = to_crs(crs, geodetic)
+    extent = np.ptp(place[:, :2], axis=0)
+    spacing = max(float(np.sqrt(np.prod(extent) / len(place))), 1e-3)
+    return SurfaceCells(crs, place[:, :2], place[:, 2], np.ones(2), spacing, 1)
+
+
+def reference_spacing_m(reference: str | PathLike[str]) -> float:
+    """Spacing of the rows of the raster `reference`, in metres."""
+    with rasterio.open(reference) as raster:
+        return _spacing_m(raster)
+
+
+def _spacing_m(raster: rasterio.DatasetReader) -> float:
+    degrees = bool(raster.crs and raster.crs.is_geographic)
+    return abs(float(raster.transform.e)) * (np.radians(WGS84_A_M) if degrees else 1.0)
+
+
 def reference_nodes(
     reference: str | PathLike[str], geodetic: FloatArray
 ) -> tuple[IntArray, FloatArray]:
@@ -103,8 +126,7 @@ def reference_cover(
     And the spacing of the reference's cells, in metres. NaN for the share where it has none.
     """
     with rasterio.open(reference) as ref, rasterio.open(surface) as own:
-        degrees = bool(ref.crs and ref.crs.is_geographic)
-        spacing = abs(float(ref.transform.e)) * (np.radians(WGS84_A_M) if degrees else 1.0)
+        spacing = _spacing_m(ref)
         with WarpedVRT(own, crs=ref.crs) as warped:
             bounds = warped.bounds
         inside = from_bounds(*bounds, transform=ref.transform)

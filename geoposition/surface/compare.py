@@ -1,13 +1,6 @@
-"""A surface against a reference: offset, scatter, tilt, horizontal shift, and where they differ.
+"""A surface, or points, against a reference: offset, scatter, tilt, shift, and where they differ.
 
-dh = surface − reference at the surface's cells, the reference bilinear there. A surface that is
-the reference moved by (e, n, u) has, with the reference's slopes g,
-    dh = u − e g_e − n g_n ,
-which is the cosine of aspect that Nuth and Kääb fit, times the slope: solved here by least
-squares without dividing by the slope, so that flat ground does no harm, and repeated at the
-shift found. Cells more than three NMAD off take no part.
-
-*Source*: Nuth and Kääb 2011, The Cryosphere 5, (2)–(3).
+Differences are surface − reference, the reference bilinear there; the shift is `coregister`'s.
 """
 
 from __future__ import annotations
@@ -18,44 +11,31 @@ from os import PathLike
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geoposition.accuracy import NMAD_FACTOR, AxisStatistics, axis_statistics
-from geoposition.arrays import BoolArray, FloatArray
+from geoposition.arrays import BoolArray, FloatArray, as_components
 from geoposition.datum import from_crs
 from geoposition.errors import GeometryError
 from geoposition.flags import has_result
 from geoposition.surface.cells import (
     SurfaceCells,
+    point_cells,
     reference_cover,
     reference_nodes,
+    reference_spacing_m,
     surface_cells,
 )
+from geoposition.surface.coregister import SIGMAS, Shift, coregistered, ground_slopes, sampled
 from geoposition.terrain.raster import RasterTerrain
 
 SLOPE_EDGES_DEG: Final = (0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 90.0)
 SECTORS: Final = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
-_FEWEST: Final = 30
-_TURNS: Final = 8
-_STILL: Final = 0.005
-"""A step below this part of a cell ends the iteration."""
-_SIGMAS: Final = 3.0
-_LEAST_RELIEF: Final = 0.02
-"""Slopes must scatter by this much in every direction for a shift to show."""
-_FEWEST_REFERENCE_CELLS: Final = 50
+FEWEST_COMPARED: Final = 30
+"""Differences below this number say too little of slopes and shifts."""
 _LEAST_SLOPE_DEG: Final = 5.0
 _COARSER: Final = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class Shift:
-    """By how much the surface lies east, north and above of the reference, and sigmas (m).
-
-    The sigmas count one independent difference per cell of the coarser of the two.
-    """
-
-    enu_m: tuple[float, float, float]
-    sigma_enu_m: tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,16 +50,12 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Differences surface − reference, as they are and after co-registration.
+    """Differences of heights, as they are and after co-registration.
 
     `tilt_mm_per_m` is the slope of the plane through the differences and `tilt_azimuth_deg`
     where it rises to. `shift` is None where the ground is too flat, or too little, to tell;
     then `after` is None too. `by_slope` and `by_aspect` are of the reference's ground, the
-    latter where it slopes by 5° or more. `by_reference_cell`, of a reference more than twice as
-    coarse, compares the surface's means over the reference's cells with these: like with like.
-    `cover` is the share of the reference's cells within
-    the surface's bounds where the surface has a height. `stride` says that every so many-th
-    cell was compared.
+    latter where it slopes by 5° or more.
     """
 
     before: AxisStatistics
@@ -89,9 +65,6 @@ class Comparison:
     tilt_azimuth_deg: float
     by_slope: tuple[Part, ...]
     by_aspect: tuple[Part, ...]
-    by_reference_cell: AxisStatistics | None
-    cover: float
-    stride: int
 
     def as_dict(self) -> dict[str, object]:
         """Return the numbers by name, fit for JSON."""
@@ -101,13 +74,33 @@ class Comparison:
             "coregistered_m": None if self.after is None else self.after.as_dict(),
             "shift_enu_m": None if shift is None else list(shift.enu_m),
             "shift_sigma_enu_m": None if shift is None else list(shift.sigma_enu_m),
-            "reference_cells_m": None
-            if self.by_reference_cell is None
-            else self.by_reference_cell.as_dict(),
             "tilt_mm_per_m": self.tilt_mm_per_m,
             "tilt_azimuth_deg": self.tilt_azimuth_deg,
             "by_slope_deg": [_facts(part) for part in self.by_slope],
             "by_aspect": [_facts(part) for part in self.by_aspect],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceComparison:
+    """A gridded surface against a reference: its cells' `differences`, and how much it covers.
+
+    `by_reference_cell`, of a reference more than twice as coarse, compares the surface's means
+    over the reference's cells with these: like with like. `cover` is the share of the
+    reference's cells within the surface's bounds where the surface has a height. `stride` says
+    that every so many-th cell was compared.
+    """
+
+    differences: Comparison
+    by_reference_cell: AxisStatistics | None
+    cover: float
+    stride: int
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the numbers by name, fit for JSON."""
+        coarse = self.by_reference_cell
+        return self.differences.as_dict() | {
+            "reference_cells_m": None if coarse is None else coarse.as_dict(),
             "reference_cover": self.cover,
             "stride": self.stride,
         }
@@ -117,7 +110,7 @@ def compare_surface(
     surface: str | PathLike[str],
     reference: str | PathLike[str],
     geoid: str | PathLike[str] | None = None,
-) -> Comparison:
+) -> SurfaceComparison:
     """Compare the first band of the raster `surface` with the raster of heights `reference`.
 
     Heights of `surface` are ellipsoidal and its system is a projected one in metres or one in
@@ -126,17 +119,48 @@ def compare_surface(
     """
     terrain = RasterTerrain(reference, geoid)
     cells = surface_cells(surface)
-    found = _sampled(terrain, cells, np.zeros(2))
-    known = np.isfinite(found)
-    if known.sum() < _FEWEST:
-        raise GeometryError(f"{reference}: the reference has no heights where the surface is")
-    whole = cells
-    cells, found = cells.where(known), found[known]
     cover, spacing_m = reference_cover(surface, reference)
-    slopes = _slopes(terrain, cells, np.zeros(2), max(spacing_m, cells.spacing_m))
+    slope_step_m = max(spacing_m, cells.spacing_m)
+    return SurfaceComparison(
+        _compared(cells, terrain, f"{reference}", spacing_m, slope_step_m),
+        _by_reference_cell(reference, terrain, cells, spacing_m),
+        cover,
+        cells.stride,
+    )
+
+
+def compare_points(
+    geodetic: ArrayLike,
+    reference: str | PathLike[str],
+    geoid: str | PathLike[str] | None = None,
+) -> Comparison:
+    """Compare ground points (n, 3) = (lon_rad, lat_rad, height_m) with a raster of heights.
+
+    The reference's heights become ellipsoidal with `geoid`, if one is named; points that are
+    not numbers take no part. A `GeometryError` where the two have no ground in common.
+    """
+    points = as_components(geodetic, 3, "geodetic").reshape(-1, 3)
+    cells = point_cells(points[np.isfinite(points).all(axis=1)])
+    spacing_m = reference_spacing_m(reference)
+    return _compared(cells, RasterTerrain(reference, geoid), f"{reference}", spacing_m, spacing_m)
+
+
+def _compared(
+    cells: SurfaceCells,
+    terrain: RasterTerrain,
+    name: str,
+    spacing_m: float,
+    slope_step_m: float,
+) -> Comparison:
+    found = sampled(terrain, cells, np.zeros(2))
+    known = np.isfinite(found)
+    if known.sum() < FEWEST_COMPARED:
+        raise GeometryError(f"{name}: the reference has no heights where the surface is")
+    cells, found = cells.where(known), found[known]
+    slopes = ground_slopes(terrain, cells, np.zeros(2), slope_step_m)
     difference = cells.height_m - found
     share = min(1.0, (cells.spacing_m / max(spacing_m, cells.spacing_m)) ** 2)
-    shift, moved = _coregistered(terrain, cells, slopes, difference, share, spacing_m)
+    shift, moved = coregistered(terrain, cells, slopes, difference, share, spacing_m)
     tilt, azimuth = _tilt(cells, difference)
     return Comparison(
         before=axis_statistics(difference),
@@ -146,67 +170,7 @@ def compare_surface(
         tilt_azimuth_deg=azimuth,
         by_slope=_by_slope(slopes, difference),
         by_aspect=_by_aspect(slopes, difference),
-        by_reference_cell=_by_reference_cell(reference, terrain, whole, spacing_m),
-        cover=cover,
-        stride=cells.stride,
     )
-
-
-def _sampled(terrain: RasterTerrain, cells: SurfaceCells, shift_m: FloatArray) -> FloatArray:
-    """Heights (n,) of the reference at the cells, moved back by a shift; NaN where none."""
-    place = np.column_stack([cells.xy - shift_m * cells.unit_per_m, cells.height_m])
-    heights = terrain.height_at(from_crs(cells.crs, place))
-    return np.where(has_result(heights.flag), heights.height_m, np.nan)
-
-
-def _slopes(
-    terrain: RasterTerrain, cells: SurfaceCells, shift_m: FloatArray, step_m: float
-) -> FloatArray:
-    """Slopes (n, 2) east and north of the reference, over two of its cells; NaN at its edge."""
-    out = np.empty((len(cells.height_m), 2))
-    for axis in range(2):
-        step = np.zeros(2)
-        step[axis] = step_m
-        ahead, behind = (_sampled(terrain, cells, shift_m - s * step) for s in (1.0, -1.0))
-        out[:, axis] = (ahead - behind) / (2.0 * step_m)
-    return out
-
-
-def _coregistered(
-    terrain: RasterTerrain,
-    cells: SurfaceCells,
-    slopes: FloatArray,
-    difference: FloatArray,
-    share: float,
-    spacing_m: float,
-) -> tuple[Shift | None, FloatArray | None]:
-    """Shift of the surface, and the differences without it; None where it does not show."""
-    good = np.isfinite(slopes).all(axis=1)
-    independent = share * float(good.sum())
-    if independent < _FEWEST_REFERENCE_CELLS:
-        return None, None
-    scatter = np.linalg.eigvalsh(np.cov(slopes[good].T))
-    if not np.sqrt(max(float(scatter[0]), 0.0)) >= _LEAST_RELIEF:
-        return None, None
-    place, moved = np.zeros(3), difference
-    inverse, spread = np.eye(3), float("nan")
-    for _ in range(_TURNS):
-        known = good & np.isfinite(moved)
-        off = moved[known] - np.median(moved[known])
-        near = np.abs(off) <= _SIGMAS * NMAD_FACTOR * float(np.median(np.abs(off))) + 1e-9
-        rows = np.column_stack([-slopes[known][near], np.ones(int(near.sum()))])
-        normal = rows.T @ rows
-        step = np.linalg.solve(normal, rows.T @ moved[known][near])
-        rest = moved[known][near] - rows @ step
-        inverse = np.linalg.inv(normal) / share
-        spread = NMAD_FACTOR * float(np.median(np.abs(rest)))
-        place += step
-        moved = cells.height_m - _sampled(terrain, cells, place[:2]) - place[2]
-        if float(np.hypot(*step[:2])) < _STILL * max(spacing_m, cells.spacing_m):
-            break
-    sigma = spread * np.sqrt(np.diag(inverse))
-    east, north, up = (float(value) for value in place)
-    return Shift((east, north, up), (float(sigma[0]), float(sigma[1]), float(sigma[2]))), moved
 
 
 def _by_reference_cell(
@@ -240,7 +204,7 @@ def _tilt(cells: SurfaceCells, difference: FloatArray) -> tuple[float, float]:
     for _ in range(3):
         plane = np.linalg.lstsq(rows[keep], difference[keep], rcond=None)[0]
         rest = np.abs(difference - rows @ plane)
-        keep = rest <= _SIGMAS * NMAD_FACTOR * float(np.median(rest)) + 1e-9
+        keep = rest <= SIGMAS * NMAD_FACTOR * float(np.median(rest)) + 1e-9
     east, north = plane[:2] / scale * 1e3
     return float(np.hypot(east, north)), float(np.degrees(np.arctan2(east, north)) % 360.0)
 

@@ -157,6 +157,19 @@ class RasterTerrain:
             raise GeometryError(f"{self._store.lattice.tiles[0].path}: no height within the region")
         return lowest, highest
 
+    def grid_over(self, geodetic: ArrayLike) -> Grid | None:
+        """Nodes over all of `geodetic` (..., 2 or 3) at once; none where there is no such grid."""
+        asked = lon_lat(geodetic).reshape(-1, 2)
+        with self._store.lock:
+            grid = self._store.whole()
+            if grid is not None or bad_lon_lat(asked).any():
+                return grid
+            box = box_around(normals(asked[:, 0], asked[:, 1]))
+            span = span_of_box(self._store.lattice, box) if box is not None else None
+            if span is None or span.nodes > self._store.max_nodes or _too_wide(box):
+                return None
+            return self._store.patch(span)
+
     # windows ---------------------------------------------------------------------------------
 
     def _heights(

@@ -26,6 +26,7 @@ from geoposition.errors import ArgumentError, MissingFileError, ProductError, Un
 PLAUSIBLE_M: Final = (-12000.0, 10000.0)
 """Heights outside are holes: undeclared fill values, since the Earth has no such ground."""
 _LATTICE_PX: Final = 0.01
+_HEIGHT_BAND: Final = "height"
 _METRE_NAMES: Final = {"", "m", "metre", "metres", "meter", "meters"}
 
 
@@ -182,6 +183,7 @@ def _header(path: str) -> _Header:
     try:
         with _open(path) as raster:
             bands = sum(kind != ColorInterp.alpha for kind in raster.colorinterp)
+            named = (raster.descriptions[0] or "").strip().lower() == _HEIGHT_BAND
             dtype, unit, crs = raster.dtypes[0], raster.units[0] or "", raster.crs
             transform, shape = raster.transform, raster.shape
             wkt = crs.to_wkt() if crs else ""
@@ -191,7 +193,8 @@ def _header(path: str) -> _Header:
         raise ProductError(
             path, "", f"a raster GDAL can read expected: {_one_line(error)}"
         ) from None
-    if bands != 1:
+    # A surface of ours has layers of counts and errors beside its heights, and says which is which.
+    if bands != 1 and not named:
         raise UnsupportedError(path, "bands", f"one band of heights expected, it has {bands}")
     if dtype.startswith("complex"):
         raise UnsupportedError(path, "band 1", "heights expected, it holds complex numbers")
