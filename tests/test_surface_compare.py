@@ -147,7 +147,7 @@ def test_points_show_the_same_shift_as_a_surface(tmp_path: Path) -> None:
     rows = np.random.default_rng(4).choice(len(cells.height_m), 4000, replace=False)
     points = from_crs(cells.crs, np.column_stack([cells.xy, cells.height_m])[rows])
     points[::50] = np.nan
-    found = compare_points(points, reference)
+    found = compare_points(points, RasterTerrain(reference))
     assert found.shift is not None
     assert found.after is not None
     np.testing.assert_allclose(found.shift.enu_m, (3.2, -1.7, 5.5), atol=0.1)
@@ -158,9 +158,9 @@ def test_points_show_the_same_shift_as_a_surface(tmp_path: Path) -> None:
 def test_points_elsewhere_are_refused(tmp_path: Path) -> None:
     reference = raster(tmp_path / "ref.tif", 100, 1.0)
     with pytest.raises(GeometryError, match="no heights where"):
-        compare_points(np.full((40, 3), 0.3), reference)
+        compare_points(np.full((40, 3), 0.3), RasterTerrain(reference))
     with pytest.raises(GeometryError, match="no heights where"):
-        compare_points(np.empty((0, 3)), reference)
+        compare_points(np.empty((0, 3)), RasterTerrain(reference))
 
 
 def test_a_surface_serves_as_terrain(tmp_path: Path) -> None:

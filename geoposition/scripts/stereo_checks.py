@@ -97,7 +97,7 @@ def compare_heights(
     difference[found[known]] = points.geodetic[found[known], 2] - heights.height_m[known]
     comparison = None
     if known.sum() >= FEWEST_COMPARED:
-        comparison = compare_points(points.geodetic[found[known]], reference, geoid)
+        comparison = compare_points(points.geodetic[found[known]], terrain)
     return HeightDifferences(
         reference, terrain.provenance, difference, axis_statistics(difference), comparison
     )

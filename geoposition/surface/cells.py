@@ -90,17 +90,6 @@ def point_cells(geodetic: FloatArray) -> SurfaceCells:
     return SurfaceCells(crs, place[:, :2], place[:, 2], np.ones(2), spacing, 1)
 
 
-def reference_spacing_m(reference: str | PathLike[str]) -> float:
-    """Spacing of the rows of the raster `reference`, in metres."""
-    with rasterio.open(reference) as raster:
-        return _spacing_m(raster)
-
-
-def _spacing_m(raster: rasterio.DatasetReader) -> float:
-    degrees = bool(raster.crs and raster.crs.is_geographic)
-    return abs(float(raster.transform.e)) * (np.radians(WGS84_A_M) if degrees else 1.0)
-
-
 def reference_nodes(
     reference: str | PathLike[str], geodetic: FloatArray
 ) -> tuple[IntArray, FloatArray]:
@@ -126,7 +115,8 @@ def reference_cover(
     And the spacing of the reference's cells, in metres. NaN for the share where it has none.
     """
     with rasterio.open(reference) as ref, rasterio.open(surface) as own:
-        spacing = _spacing_m(ref)
+        degrees = bool(ref.crs and ref.crs.is_geographic)
+        spacing = abs(float(ref.transform.e)) * (np.radians(WGS84_A_M) if degrees else 1.0)
         with WarpedVRT(own, crs=ref.crs) as warped:
             bounds = warped.bounds
         inside = from_bounds(*bounds, transform=ref.transform)

@@ -23,7 +23,6 @@ from geoposition.surface.cells import (
     point_cells,
     reference_cover,
     reference_nodes,
-    reference_spacing_m,
     surface_cells,
 )
 from geoposition.surface.coregister import SIGMAS, Shift, coregistered, ground_slopes, sampled
@@ -122,40 +121,31 @@ def compare_surface(
     cover, spacing_m = reference_cover(surface, reference)
     slope_step_m = max(spacing_m, cells.spacing_m)
     return SurfaceComparison(
-        _compared(cells, terrain, f"{reference}", spacing_m, slope_step_m),
+        _compared(cells, terrain, spacing_m, slope_step_m),
         _by_reference_cell(reference, terrain, cells, spacing_m),
         cover,
         cells.stride,
     )
 
 
-def compare_points(
-    geodetic: ArrayLike,
-    reference: str | PathLike[str],
-    geoid: str | PathLike[str] | None = None,
-) -> Comparison:
+def compare_points(geodetic: ArrayLike, reference: RasterTerrain) -> Comparison:
     """Compare ground points (n, 3) = (lon_rad, lat_rad, height_m) with a raster of heights.
 
-    The reference's heights become ellipsoidal with `geoid`, if one is named; points that are
-    not numbers take no part. A `GeometryError` where the two have no ground in common.
+    Points that are not numbers take no part. A `GeometryError` where the two have no ground in
+    common.
     """
     points = as_components(geodetic, 3, "geodetic").reshape(-1, 3)
     cells = point_cells(points[np.isfinite(points).all(axis=1)])
-    spacing_m = reference_spacing_m(reference)
-    return _compared(cells, RasterTerrain(reference, geoid), f"{reference}", spacing_m, spacing_m)
+    return _compared(cells, reference, reference.spacing_m, reference.spacing_m)
 
 
 def _compared(
-    cells: SurfaceCells,
-    terrain: RasterTerrain,
-    name: str,
-    spacing_m: float,
-    slope_step_m: float,
+    cells: SurfaceCells, terrain: RasterTerrain, spacing_m: float, slope_step_m: float
 ) -> Comparison:
     found = sampled(terrain, cells, np.zeros(2))
     known = np.isfinite(found)
     if known.sum() < FEWEST_COMPARED:
-        raise GeometryError(f"{name}: the reference has no heights where the surface is")
+        raise GeometryError(f"{terrain.name}: the reference has no heights where the surface is")
     cells, found = cells.where(known), found[known]
     slopes = ground_slopes(terrain, cells, np.zeros(2), slope_step_m)
     difference = cells.height_m - found

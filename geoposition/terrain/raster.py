@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from os import PathLike, fspath
 from typing import Final
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geoposition.arrays import FlagArray, FloatArray, IntArray
+from geoposition.constants import WGS84_A_M
 from geoposition.datum import Geoid
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import Flag
@@ -82,6 +84,18 @@ class RasterTerrain:
     def provenance(self) -> tuple[str, ...]:
         """The files, their system, and what was made of their vertical datum."""
         return self._provenance
+
+    @property
+    def name(self) -> str:
+        """The first file's path, for messages."""
+        return fspath(self._arguments[0][0])
+
+    @property
+    def spacing_m(self) -> float:
+        """Spacing of the rows of nodes, in metres."""
+        lattice = self._store.lattice
+        step = float(np.hypot(*lattice.from_grid[:, 1]))
+        return step * (math.radians(WGS84_A_M) if lattice.geographic else 1.0)
 
     # answers ---------------------------------------------------------------------------------
 
