@@ -1,0 +1,44 @@
+"""A batch from plan to manifest."""
+
+from __future__ import annotations
+
+import os
+
+from geoposition.scripts.batch.cluster import run_on_cluster
+from geoposition.scripts.batch.local import run_locally
+from geoposition.scripts.batch.manifest import NAME, Manifest
+from geoposition.scripts.batch.plan import Plan
+from geoposition.scripts.results import Progress
+
+
+def run(
+    plan: Plan, workers: int | None, threads: int | None, scheduler: str | None, progress: Progress
+) -> Manifest:
+    """Run what is not done yet; the manifest is on disk after every scene."""
+    plan.output.mkdir(parents=True, exist_ok=True)
+    manifest = Manifest.of(plan.output, plan.jobs)
+    manifest.write()
+    progress(0, len(plan.jobs))
+    if scheduler is None:
+        cores = os.cpu_count() or 1
+        count = workers or plan.workers or cores
+        each = threads or max(1, cores // count)
+        outcomes = run_locally(plan.jobs, count, plan.retries, each)
+    else:
+        outcomes = run_on_cluster(plan.jobs, scheduler, plan.retries)
+    for outcome, final in outcomes:
+        manifest.record(outcome, final)
+        manifest.write()
+        progress(manifest.count("done", "kept", "failed"), len(plan.jobs))
+    return manifest
+
+
+def failures(manifest: Manifest) -> str:
+    """One line about the scenes that failed; empty if none did."""
+    bad = [(name, scene) for name, scene in manifest.scenes.items() if scene.status == "failed"]
+    if not bad:
+        return ""
+    name, scene = bad[0]
+    more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
+    total, where = len(manifest.scenes), manifest.output / NAME
+    return f"{len(bad)} of {total} scenes failed: {name} ({scene.message}){more}; see {where}"
