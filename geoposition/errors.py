@@ -7,6 +7,10 @@ scene) is NaN plus a `Flag` and never raises.
 from __future__ import annotations
 
 from os import PathLike
+from typing import Final
+
+_LONGEST: Final = 600
+"""Characters of a message: enough for a path and a reason, not for a file's own text."""
 
 
 class GeopositionError(Exception):
@@ -49,7 +53,8 @@ class ProductError(GeopositionError, ValueError):
         self.place = place
         self.expected = expected
         where = f"{self.path}: {place}" if place else self.path
-        super().__init__(" ".join(f"{where}: {expected}".split()))
+        line = " ".join(f"{where}: {expected}".split())
+        super().__init__(line if len(line) <= _LONGEST else f"{line[: _LONGEST - 1]}…")
 
 
 class MissingFileError(ProductError, FileNotFoundError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,12 @@ from geoposition.frames import R_itrs_gcrs
 from geoposition.reimage.mapping import map_models
 from geoposition.reimage.resample import Resampler
 from geoposition.reimage.steady import steady_model
+from geoposition.reimage.virtual import ideal_camera, single_ccd
 from geoposition.rpc.compare import compare
 from geoposition.rpc.formats import read_rpc
 from geoposition.scripts.cli import run
+from geoposition.scripts.reimage_run import Request
+from geoposition.scripts.reimage_run import run as reimage_run
 from geoposition.scripts.tables import write_table
 from geoposition.sensors.readers import open_product
 from geoposition.sensors.writers.attitude_table import attitude_columns
@@ -222,6 +226,38 @@ def test_what_cannot_be_done_is_refused_and_leaves_nothing(
     assert {path.name for path in tmp_path.iterdir()} == {"wrong.tif", "doubles.tif", "late.csv"}
 
 
+def test_a_dem_elsewhere_a_missing_attitude_and_a_closed_folder(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image, product = folder / "image.tif", folder / "jittered.toml"
+    dem = tmp_path / "dem.tif"
+    write_image(
+        dem, np.full((20, 20), 100.0, np.float32), crs="EPSG:4979",
+        transform=rasterio.Affine(0.01, 0.0, -150.0, 0.0, -0.01, -60.0),
+    )  # fmt: skip
+    for command in (("reimage",), ("ortho",)):
+        out = tmp_path / ("out" if command == ("reimage",) else "out.tif")
+        message = refused(capsys, *command, product, image, "-o", out, "--dem", dem)
+        assert "dem.tif" in message
+        assert "heights under the image" in message
+    message = refused(capsys, "reimage", product, image, "-o", tmp_path / "out",
+                      "--attitude", tmp_path / "none.csv")  # fmt: skip
+    assert "none.csv" in message
+    inside_a_file = dem / "out"
+    assert "writable" in refused(capsys, "reimage", product, image, "-o", inside_a_file)
+    assert {path.name for path in tmp_path.iterdir()} == {"dem.tif"}
+
+
+def test_a_run_broken_off_leaves_nothing(folder: Path, tmp_path: Path) -> None:
+    def broken(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    request = Request(folder / "image.tif", tmp_path / "out", height_m=HEIGHT_M)
+    with pytest.raises(KeyboardInterrupt):
+        reimage_run(open_product(folder / "jittered.toml"), request, broken)
+    assert list(tmp_path.iterdir()) == []
+
+
 def write_rpc_only(folder: Path) -> Path:
     from geoposition.rpc.fit import fit_model
     from geoposition.rpc.formats import write_rpc
@@ -229,3 +265,114 @@ def write_rpc_only(folder: Path) -> Path:
     path = folder / "plain.RPB"
     write_rpc(fit_model(open_product(folder / "plain.toml").model).model, path)
     return path
+
+
+FREQUENCY_HZ, AMPLITUDE_PX, GSD_M = 60.0, 0.4, 0.7
+
+
+@pytest.fixture(scope="module")
+def staggered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two CCDs in staggered rows, 120 pixels in common, two bands of bytes with missing pixels."""
+    place = tmp_path_factory.mktemp("staggered")
+    ifov, lines, samples = GSD_M / 600e3, 1200, 260
+    ccds = scenes.focal_plane(2, samples, ifov, overlap_px=120, stagger_px=40)
+    jitter = (scenes.Jitter(0, AMPLITUDE_PX * ifov, FREQUENCY_HZ, 0.4),)
+    scene = scenes.build(
+        (lines, 2 * samples), ccds=ccds, gsd_m=GSD_M, jitter=jitter, attitude_step_s=0.0005,
+        attitude="spline", spare_s=1.0,
+    )  # fmt: skip
+    taken = scene.model()
+    write_model_file(taken, place / "scene.toml")
+    steady, _ = steady_model(taken)
+    wide = replace(steady, camera=ideal_camera(steady.camera)[0])
+    ground = fractal_field((lines, wide.shape[1]), (1.0, 1.0), 4.0, 1.6, np.random.default_rng(5))
+    texture = np.stack([20.0 + 200.0 * ground, 230.0 - 200.0 * ground]).astype(np.float32)
+    np.save(place / "texture.npy", texture)
+    halves = []
+    for number in range(2):
+        mapping = map_models(single_ccd(taken, number), wide, HEIGHT_M)
+        pixels, valid = Resampler("lanczos").rows(texture, mapping.rows(0, lines), samples)
+        halves.append(np.where(valid != 0, np.nan_to_num(pixels), 0.0))
+    image = np.concatenate(halves, axis=2).clip(0, 255).round().astype(np.uint8)
+    image[:, 500:520, 420:460] = 0
+    with rasterio.open(place / "image.tif", "w", driver="GTiff", width=2 * samples, height=lines,
+                       count=2, dtype="uint8", nodata=0) as file:  # fmt: skip
+        file.write(image)
+    return place
+
+
+def test_one_straight_line_from_several_ccds(
+    staggered: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The ideal camera's image is the ground's own, both bands, across the seam of the CCDs."""
+    evaluation = tmp_path / "evaluation.json"
+    line = {"frequency": FREQUENCY_HZ, "frequency_sigma": 0.5, "unit": "Hz",
+            "amplitude_x_px": 0.01, "amplitude_y_px": 0.41, "amplitude_sigma_px": 0.02}  # fmt: skip
+    evaluation.write_text(json.dumps({"jitter": [line]}))
+    result = told(capsys, "reimage", staggered / "scene.toml", staggered / "image.tif", "-o",
+                  tmp_path / "out", "--height", HEIGHT_M, "--camera", "ideal",
+                  "--evaluation", evaluation)  # fmt: skip
+    assert "ideal" in result["camera"]
+    assert result["removed_px"]["col"]["rms"] == pytest.approx(AMPLITUDE_PX / np.sqrt(2), rel=0.02)
+    assert result["removed_px"]["row"]["rms"] < 0.01
+    texture = np.load(staggered / "texture.npy")
+    with (
+        rasterio.open(tmp_path / "out/steady.tif") as file,
+        rasterio.open(tmp_path / "out/steady_valid.tif") as seen,
+    ):
+        made, valid = file.read(), seen.read(1) != 0
+        assert file.nodata == 0
+        assert file.dtypes == ("uint8", "uint8")
+    assert made.shape == texture.shape
+    assert np.all((made != 0) == valid)
+    assert 700 < np.count_nonzero(~valid[60:-60, 250:380]) < 900
+    inner = np.zeros_like(valid)
+    inner[60:-60, 12:-12] = True
+    for band in range(2):
+        a, b = made[band][valid & inner].astype(float), texture[band][valid & inner]
+        assert np.corrcoef(a, b)[0, 1] > 0.999
+        assert abs(a.mean() - b.mean()) < 0.1
+    # the same line as the attitude, the CCDs and the match have it, in one table
+    table = [entry for entry in result["jitter"] if entry["axis"] == "col"]
+    strongest = table[0]["sources"]
+    assert set(strongest) == {"attitude", "CCDs 0 and 1", "match"}
+    attitude, ccds = strongest["attitude"], strongest["CCDs 0 and 1"]
+    assert attitude["frequency_hz"] == pytest.approx(FREQUENCY_HZ, rel=0.005)
+    assert ccds["frequency_hz"] == pytest.approx(FREQUENCY_HZ, rel=0.005)
+    assert ccds["amplitude_px"] == pytest.approx(attitude["amplitude_px"], rel=0.05)
+    turn = ccds["phase_rad"] - attitude["phase_rad"]
+    assert np.cos(turn) > np.cos(0.15)
+    assert strongest["match"]["amplitude_px"] == 0.41
+    assert strongest["match"]["phase_rad"] is None
+    assert "CCDs 0 and 1" in (tmp_path / "out/report.html").read_text()
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"jitter": [{"unit": "Hz"}]}'])
+def test_an_evaluation_that_is_none_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
+) -> None:
+    wrong = tmp_path / "evaluation.json"
+    wrong.write_text(content)
+    message = refused(capsys, "reimage", folder / "jittered.toml", folder / "image.tif", "-o",
+                      tmp_path / "out", "--evaluation", wrong)  # fmt: skip
+    assert "evaluation.json" in message
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("dtype", ["int16", "float32"])
+def test_every_type_of_pixel_keeps_its_mean(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], dtype: str
+) -> None:
+    with rasterio.open(folder / "image.tif") as file:
+        pixels = file.read(1)[:400].astype(np.float64) - 1300.0
+    write_image(tmp_path / "crop.tif", pixels.astype(dtype))
+    out = tmp_path / "out"
+    told(capsys, "reimage", folder / "jittered.toml", tmp_path / "crop.tif", "-o", out,
+         "--height", HEIGHT_M, "--nodata", -30000, "--compress", "deflate")  # fmt: skip
+    with rasterio.open(out / "steady.tif") as file, rasterio.open(out / "steady_valid.tif") as seen:
+        assert file.dtypes == (dtype,)
+        made, valid = file.read(1).astype(float), seen.read(1) != 0
+    texture = np.load(folder / "texture.npy")[:400] - 1300.0
+    valid[:12] = valid[-12:] = False
+    assert texture.min() < -100.0
+    assert abs((made[valid] - texture[valid]).mean()) < 0.15

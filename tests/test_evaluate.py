@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from field_scene import GSD_M, scene
@@ -16,6 +18,7 @@ from geoposition.calib_fields.relative import fitted, relative_terms
 from geoposition.calib_fields.smooth import robust_polynomial
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.pushbroom import PushbroomModel
+from geoposition.scripts import cli
 
 SHAPE = (4000, 2000)
 LINE_S = GSD_M / 6900.0
@@ -246,3 +249,12 @@ def test_what_cannot_be_evaluated_is_refused(model: PushbroomModel) -> None:
         evaluate(matches, model)
     with pytest.raises(ArgumentError):
         EvaluationOptions(reference_sigma_m=-1.0)
+
+
+def test_the_experiment_counts_intervals(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["experiment", "intervals", "--runs", "3", "--seed", "5", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found["coverage"]) == set(KEYS)
+    assert found["pooled"] == pytest.approx(np.mean(list(found["coverage"].values())))
+    assert found["pooled"] >= 0.9
+    assert "hold" in found["finding"]

@@ -13,15 +13,18 @@ import scenes
 
 from geoposition.arrays import FloatArray
 from geoposition.calib_fields.synthetic import synthetic_terrain
-from geoposition.datum import from_crs, utm_epsg
+from geoposition.datum import from_crs, to_crs, utm_epsg
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import Flag
 from geoposition.locate import locate
 from geoposition.pushbroom import PushbroomModel
-from geoposition.reimage.ortho import OrthoGrid, OrthoTask, block_means, ortho_window
+from geoposition.reimage.ortho import OrthoTask, block_means, ortho_window
+from geoposition.reimage.ortho_grid import OrthoGrid
+from geoposition.reimage.ortho_kernels import heights_on_mesh
 from geoposition.scripts.cli import run
 from geoposition.sensors.writers.model_file import write_model_file
 from geoposition.terrain import AnalyticTerrain, ConstantTerrain, RasterTerrain
+from geoposition.terrain.mesh import height_mesh
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 
@@ -172,6 +175,36 @@ def test_several_bands_nodata_and_area_means(
         assert values[band][seen].mean() == pytest.approx(whole[band].mean(), rel=0.01)
     # means over 10 x 10 pixels of waves of 45 m: the waves stay, damped
     assert values[0][seen].std() < whole[0].std()
+
+
+@pytest.mark.parametrize(("crs", "step"), [("EPSG:32740", 20.0), ("EPSG:4979", 2e-4)])
+def test_heights_over_a_mesh_are_the_terrains_own(tmp_path: Path, crs: str, step: float) -> None:
+    """In both systems, with holes and beyond the raster's border."""
+    shape, middle = (300, 320), np.array([[np.radians(55.5), np.radians(-21.1), 0.0]])
+    x, y = to_crs(crs, middle)[0, :2] - step * np.array([160.0, -150.0])
+    height = np.cumsum(np.random.default_rng(2).normal(0.0, 4.0, shape), axis=0)
+    height[40:60, 200:230] = np.nan
+    with rasterio.open(tmp_path / "dem.tif", "w", driver="GTiff", width=320, height=300, count=1,
+                       dtype="float64", nodata=np.nan, crs=crs,
+                       transform=rasterio.Affine(step, 0, x, 0, -step, y)) as file:  # fmt: skip
+        file.write(height, 1)
+    terrain = RasterTerrain(tmp_path / "dem.tif")
+    at = to_crs("EPSG:32740", middle)[0]
+    grid = OrthoGrid("EPSG:32740", at[0] - 3600.0, at[1] + 3300.0, 6.0, (1100, 1200))
+    rows, cols = (64.0 * np.arange(n) for n in (19, 20))
+    nodes = grid.geodetic(*np.meshgrid(rows, cols, indexing="ij"), 0.0)[..., :2]
+    mesh = height_mesh(terrain, nodes)
+    assert mesh is not None
+    found, flag = np.empty(grid.shape), np.empty(grid.shape, np.uint8)
+    heights_on_mesh(mesh.height_m, mesh.place, 64, found, flag)
+    pixels = np.meshgrid(*(np.arange(n, dtype=np.float64) for n in grid.shape), indexing="ij")
+    exact = terrain.height_at(grid.geodetic(*pixels, 0.0))
+    # at a border or a hole's edge a millimetre decides
+    assert np.mean(flag != exact.flag) < 1e-4
+    assert set(np.unique(flag)) == {Flag.OK, Flag.NODATA, Flag.OUTSIDE_TERRAIN}
+    both = np.isfinite(found) & np.isfinite(exact.height_m)
+    assert np.nanmin(found) >= mesh.lowest_m
+    assert np.abs(found - exact.height_m)[both].max() < 0.01
 
 
 def test_means_are_of_the_valid_ones() -> None:

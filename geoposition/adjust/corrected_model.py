@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from geoposition.adjust.residuals import image_plane, sample_functions
+from geoposition.adjust.residuals import image_plane, look_ends, sample_powers
 from geoposition.adjust.unknowns import Block
 from geoposition.arrays import FloatArray, read_only
 from geoposition.attitude import Attitude, EulerCurve, ProductCurve, RotationCurve
@@ -62,14 +62,31 @@ class SumCurve:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CorrectedCamera:
-    """A camera with polynomials added to its tangents, and a turned mounting; a `Camera`.
+class LookCorrection:
+    """Polynomials `tangents_rad` (degree + 1, 2) in s, the sample from −1 to 1 between `ends`.
 
-    `tangents_rad` (degree + 1, 2) over the sample from −1 to 1.
+    Of CCD number `detector`, or of the whole row.
     """
 
-    base: Camera
     tangents_rad: FloatArray
+    ends: tuple[float, float]
+    detector: int | None = None
+
+    def at(self, detector: int, sample: FloatArray) -> FloatArray:
+        """Return what adds to the tangents (..., 2) of `sample` (...) seen by a CCD."""
+        if self.detector not in (None, detector):
+            return np.zeros((*sample.shape, 2))
+        powers = sample_powers(sample.ravel(), self.ends, len(self.tangents_rad) - 1)
+        added: FloatArray = (powers @ self.tangents_rad).reshape(*sample.shape, 2)
+        return added
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectedCamera:
+    """A camera with polynomials added to its tangents, and a turned mounting; a `Camera`."""
+
+    base: Camera
+    looks: tuple[LookCorrection, ...]
     turn: Rotation
 
     @property
@@ -90,9 +107,9 @@ class CorrectedCamera:
     def tangents(self, detector: int, sample: ArrayLike) -> FloatArray:
         """Corrected tangents (..., 2) of `sample` (...)."""
         samples = np.asarray(sample, dtype=np.float64)
-        powers = sample_functions(samples.ravel(), self.shape, len(self.tangents_rad) - 1)
-        added = (powers @ self.tangents_rad).reshape(*samples.shape, 2)
-        result: FloatArray = self.base.tangents(detector, sample) + added
+        result: FloatArray = self.base.tangents(detector, samples)
+        for look in self.looks:
+            result = result + look.at(detector, samples)
         return result
 
     @property
@@ -175,7 +192,8 @@ def _image_moved(model: SensorModel, plane: FloatArray) -> SensorModel:
 
 def _rigorous(model: PushbroomModel, parts: list[tuple[Block, FloatArray]]) -> PushbroomModel:
     camera, ephemeris, attitude = model.camera, model.ephemeris, model.attitude
-    turn, tangents = Rotation.identity(), np.zeros((1, 2))
+    turn = Rotation.identity()
+    looks: list[LookCorrection] = []
     offset_s = 0.0
     curve: RotationCurve = attitude.curve
     positions = ephemeris.curve
@@ -193,14 +211,15 @@ def _rigorous(model: PushbroomModel, parts: list[tuple[Block, FloatArray]]) -> P
         elif block.kind == "mounting":
             turn = turn * Rotation.from_rotvec(values)
         elif block.kind == "look":
-            tangents = values.reshape(-1, 2)
+            ends = look_ends(block, camera)
+            looks.append(LookCorrection(read_only(values.reshape(-1, 2)), ends, block.detector))
         elif block.kind == "time":
             offset_s += float(values[0])
         else:
             raise ArgumentError(f"{block.name}: no part of a rigorous model")
     # All lines later by an offset: attitude and orbit earlier by it.
     return PushbroomModel(
-        _camera(camera, turn, tangents),
+        _camera(camera, turn, tuple(looks)),
         Ephemeris(ephemeris.epoch - offset_s, positions, ephemeris.frame),
         Attitude(attitude.epoch - offset_s, curve, attitude.frame),
         model.corrections,
@@ -208,12 +227,12 @@ def _rigorous(model: PushbroomModel, parts: list[tuple[Block, FloatArray]]) -> P
     )
 
 
-def _camera(camera: Camera, turn: Rotation, tangents: FloatArray) -> Camera:
+def _camera(camera: Camera, turn: Rotation, looks: tuple[LookCorrection, ...]) -> Camera:
     rotvec = turn.as_rotvec()
     names = [f"mounting_{axis}_rad" for axis in "xyz"]
-    if not np.any(tangents):
+    if not any(np.any(look.tangents_rad) for look in looks):
         if not np.any(rotvec):
             return camera
         if set(names) <= set(camera.parameters):
             return camera.with_parameters(dict(zip(names, rotvec.tolist(), strict=True)))
-    return CorrectedCamera(camera, read_only(tangents), turn)
+    return CorrectedCamera(camera, looks, turn)

@@ -6,13 +6,14 @@ a set of images is also what one factor of the graph joins.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geoposition.adjust.scale_field import ScaleField, scale_fields
 from geoposition.adjust.sights import Sights
 from geoposition.arrays import FlagArray, FloatArray, IntArray
 from geoposition.ellipsoid import ecef_to_geodetic, enu_axes, geodetic_to_ecef
@@ -37,7 +38,8 @@ class PointSet:
     equal. What is known of a point itself stands in `known_root` (n, k, 3), acting on ECEF
     metres, and `known_ecef_m` (n, 3): k is 3 for control, 1 for a height, 0 for nothing.
     `ecef_m` (n, 3) is where the point is now, `sights` has the lines of sight of all rows;
-    `first_residual_px` (rows, 2) are the residuals with the models as they came.
+    `first_residual_px` (rows, 2) are the residuals with the models as they came; `fields` the
+    images' scales, from which sights are made again.
     """
 
     role: Role
@@ -53,6 +55,7 @@ class PointSet:
     sights: Sights
     point_flag: FlagArray
     first_residual_px: FloatArray
+    fields: Mapping[int, ScaleField]
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -73,12 +76,16 @@ class PointSet:
         old, new = ecef_to_geodetic(self.ecef_m)[:, 2], ecef_to_geodetic(ecef_m)[:, 2]
         sights = self.sights
         if np.any(np.abs(new - old) > _HEIGHT_MOVED_M):
-            sights = all_sights(models, self.product, self.image_px, new[self.point])
+            sights = all_sights(models, self.fields, self.product, self.image_px, new[self.point])
         return replace(self, ecef_m=ecef_m, sights=sights)
 
 
 def all_sights(
-    models: Sequence[SensorModel], product: IntArray, image_px: FloatArray, height_m: FloatArray
+    models: Sequence[SensorModel],
+    fields: Mapping[int, ScaleField],
+    product: IntArray,
+    image_px: FloatArray,
+    height_m: FloatArray,
 ) -> Sights:
     """Lines of sight of rows that belong to several images."""
     n = len(product)
@@ -91,19 +98,24 @@ def all_sights(
     )
     for image in np.unique(product):
         rows = np.flatnonzero(product == image)
-        some = Sights.of(models[int(image)], image_px[rows], height_m[rows])
+        k = int(image)
+        some = Sights.of(models[k], fields[k], image_px[rows], height_m[rows])
         for name in ("origin_ecef_m", "direction_ecef", "scale", "flag"):
             getattr(out, name)[rows] = getattr(some, name)
     return out
 
 
 def of_control(
-    role: Role, models: Sequence[SensorModel], control: ControlPoints, sigma_px: ArrayLike
+    role: Role,
+    models: Sequence[SensorModel],
+    control: ControlPoints,
+    sigma_px: ArrayLike,
+    fields: Mapping[int, ScaleField] | None = None,
 ) -> PointSet:
     """Control or check points: all that have a ground position, measured in images or not.
 
     Control brings its ground covariance along; check points bring nothing, but a point seen in
-    one image only has its height.
+    one image only has its height. `fields` are made here unless given.
     """
     image = control.image
     if image is None:
@@ -122,6 +134,7 @@ def of_control(
     else:
         known_root = np.empty((len(control), 0, 3))
     product, px = image.product[order], image.image_px[order]
+    scales = scale_fields(models, product) if fields is None else fields
     heights = np.repeat(control.geodetic[:, 2], counts)
     flag = np.where(counts > 0, Flag.OK, Flag.TOO_FEW_RAYS).astype(np.uint8)
     return PointSet(
@@ -135,9 +148,10 @@ def of_control(
         known_root=np.ascontiguousarray(known_root),
         known_ecef_m=ecef,
         ecef_m=ecef.copy(),
-        sights=all_sights(models, product, px, heights),
+        sights=all_sights(models, scales, product, px, heights),
         point_flag=flag,
         first_residual_px=_misfit_px(models, product, px, np.repeat(control.geodetic, counts, 0)),
+        fields=scales,
     )
 
 
@@ -147,6 +161,7 @@ def of_ties(
     sigma_px: ArrayLike,
     height_m: FloatArray | None = None,
     height_sigma_m: FloatArray | None = None,
+    fields: Mapping[int, ScaleField] | None = None,
 ) -> PointSet:
     """Tie points, where they intersect now; by point, in the order they first appear.
 
@@ -176,6 +191,7 @@ def of_ties(
         known[has, 2] = height_m[has]
     counts = np.diff(start)
     ecef = geodetic_to_ecef(geodetic)
+    scales = scale_fields(models, product) if fields is None else fields
     return PointSet(
         role="tie",
         ids=grouping.ids,
@@ -187,9 +203,10 @@ def of_ties(
         known_root=np.ascontiguousarray(known_root),
         known_ecef_m=geodetic_to_ecef(known) if k else ecef,
         ecef_m=ecef,
-        sights=all_sights(models, product, px, np.repeat(geodetic[:, 2], counts)),
+        sights=all_sights(models, scales, product, px, np.repeat(geodetic[:, 2], counts)),
         point_flag=flag,
         first_residual_px=found.image_residual_px[order],
+        fields=scales,
     )
 
 

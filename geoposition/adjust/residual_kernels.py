@@ -227,3 +227,27 @@ def back_substitute(triangle: FloatArray, right: FloatArray, strong: BoolArray) 
                 for a in range(k + 1, 3):
                     value -= triangle[i, k, a] * right[i, a, b]
                 right[i, k, b] = value * unit
+
+
+@njit(cache=True, parallel=True, error_model="numpy", fastmath=FAST)
+def scale_matrices(
+    image_px: FloatArray,
+    height_m: FloatArray,
+    centre: FloatArray,
+    per_extent: FloatArray,
+    coefficients: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Fill `out` (n, 2, 3) with quadratics (10, 6) in line, sample, height; order as in `scale`."""
+    for i in prange(len(image_px)):
+        a = (image_px[i, 0] - centre[0]) * per_extent[0]
+        b = (image_px[i, 1] - centre[1]) * per_extent[1]
+        c = (height_m[i] - centre[2]) * per_extent[2]
+        for k in range(6):
+            q = coefficients[:, k]
+            out[i, k // 3, k % 3] = (
+                q[0]
+                + a * (q[1] + q[4] * a + q[7] * b + q[8] * c)
+                + b * (q[2] + q[5] * b + q[9] * c)
+                + c * (q[3] + q[6] * c)
+            )

@@ -19,6 +19,7 @@ from geoposition.adjust.residual_kernels import observe
 from geoposition.adjust.sights import Frames, Sights, line_times_s
 from geoposition.adjust.unknowns import Block
 from geoposition.arrays import FloatArray, IntArray
+from geoposition.camera import Camera
 from geoposition.errors import ArgumentError
 from geoposition.pushbroom import PushbroomModel
 from geoposition.sensor_model import SensorModel
@@ -145,10 +146,34 @@ def image_plane(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
     return plane
 
 
-def sample_functions(samples: FloatArray, shape: tuple[int, int], degree: int) -> FloatArray:
-    """Powers (n, degree + 1) of the sample, from −1 to 1 over the row."""
-    middle = 0.5 * (shape[1] - 1.0)
-    return np.vander((samples - middle) / max(middle, 0.5), degree + 1, increasing=True)
+def look_functions(block: Block, camera: Camera, samples: FloatArray) -> FloatArray:
+    """Powers (n, degree + 1) of a look block's own s; zero on other CCDs than its own."""
+    powers = sample_powers(samples, look_ends(block, camera), block.degree)
+    if block.detector is None:
+        return powers
+    firsts = [detector.first_sample - 0.5 for detector in camera.detectors[1:]]
+    number = np.searchsorted(firsts, samples, side="right")
+    powers[number != block.detector] = 0.0
+    return powers
+
+
+def look_ends(block: Block, camera: Camera) -> tuple[float, float]:
+    """Return the samples at which s of a look block is −1 and 1."""
+    if block.detector is None:
+        return 0.0, camera.shape[1] - 1.0
+    if not 0 <= block.detector < len(camera.detectors):
+        raise ArgumentError(
+            f"{block.name}: the camera has {len(camera.detectors)} CCDs, none numbered "
+            f"{block.detector}"
+        )
+    own = camera.detectors[block.detector]
+    return own.first_sample, own.last_sample
+
+
+def sample_powers(samples: FloatArray, ends: tuple[float, float], degree: int) -> FloatArray:
+    """Powers (n, degree + 1) of s, the sample from −1 to 1 between `ends`."""
+    middle, half = 0.5 * (ends[0] + ends[1]), max(0.5 * (ends[1] - ends[0]), 0.5)
+    return np.vander((samples - middle) / half, degree + 1, increasing=True)
 
 
 @dataclass(slots=True)
@@ -203,7 +228,8 @@ class _Corrections:
                 out.lines_per_s = _lines_per_s(model, px[:, 0])
                 out.line_shift_px[:, 0] = offset_s * out.lines_per_s
             elif block.kind == "look":
-                functions = sample_functions(px[:, 1], model.shape, block.degree)
+                assert isinstance(model, PushbroomModel)
+                functions = look_functions(block, model.camera, px[:, 1])
                 out.tangents += functions @ values.reshape(-1, 2)
             else:
                 plane = image_plane(values, model.shape)

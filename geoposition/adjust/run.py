@@ -14,6 +14,7 @@ from geoposition.adjust.observability import correlated_pairs, weak_combinations
 from geoposition.adjust.point_results import nothing, results_of
 from geoposition.adjust.point_sets import PointSet, groups, of_control, of_ties
 from geoposition.adjust.robust import RobustOptions
+from geoposition.adjust.scale_field import ScaleField, scale_fields
 from geoposition.adjust.solve import Solved, block_starts, equations_of, solve, used_by_set
 from geoposition.adjust.unknowns import Block
 from geoposition.arrays import FloatArray, read_only
@@ -71,16 +72,30 @@ def adjust(
     if control is None and ties is None:
         raise ArgumentError("adjustment: control points or tie points expected")
     sets = []
+    fields = _fields(models, [ties, *(c.image for c in (control, check) if c is not None)])
     if control is not None:
-        sets.append(of_control("control", models, control, control_sigma_px))
+        sets.append(of_control("control", models, control, control_sigma_px, fields))
     if ties is not None:
-        high = (None, None) if heights is None else heights.of_points(ties.grouped().ids)
-        sets.append(of_ties(models, ties, tie_sigma_px, *high))
+        height, spread = None, None
+        if heights is not None:
+            height, spread = heights.of_points(ties.grouped().ids)
+        sets.append(of_ties(models, ties, tie_sigma_px, height, spread, fields))
     solved = solve(
         models, blocks, sets, None if explicit_points else robust, explicit=explicit_points
     )
-    probe = None if check is None else of_control("check", models, check, control_sigma_px)
+    probe = None if check is None else of_control("check", models, check, control_sigma_px, fields)
     return _result(models, blocks, solved, probe)
+
+
+def _fields(
+    models: tuple[SensorModel, ...], tables: Sequence[TiePoints | None]
+) -> dict[int, ScaleField]:
+    """Scales of all images with observations, made once for all roles."""
+    seen = [table for table in tables if table is not None]
+    for table in seen:
+        table.require_products(len(models))
+    products = [table.product for table in seen]
+    return scale_fields(models, np.concatenate(products)) if products else {}
 
 
 def _result(

@@ -6,12 +6,14 @@ no difference may be taken across the seam of two CCDs, where lines jump by some
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from geoposition.arrays import FloatArray
+from geoposition.adjust.residual_kernels import scale_matrices
+from geoposition.arrays import FloatArray, IntArray
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import GeometryError
 from geoposition.flags import has_result
@@ -66,6 +68,11 @@ class ScaleField:
 
     def at(self, image_px: FloatArray, height_m: FloatArray) -> FloatArray:
         """Matrices (n, 2, 3) at `image_px` (n, 2) and ground heights (n,)."""
-        place = (np.column_stack([image_px, height_m]) - self.centre) / self.extent
-        result: FloatArray = quadratic_terms(place) @ self.coefficients
-        return result.reshape(-1, 2, 3)
+        out = np.empty((len(image_px), 2, 3))
+        scale_matrices(image_px, height_m, self.centre, 1.0 / self.extent, self.coefficients, out)
+        return out
+
+
+def scale_fields(models: Sequence[SensorModel], product: IntArray) -> dict[int, ScaleField]:
+    """Return the fields of those `models` that have observations; `product` (n) numbers them."""
+    return {int(image): ScaleField.of(models[int(image)]) for image in np.unique(product)}

@@ -62,10 +62,12 @@ class Sights:
     flag: FlagArray
 
     @classmethod
-    def of(cls, model: SensorModel, image_px: FloatArray, height_m: FloatArray) -> Sights:
+    def of(
+        cls, model: SensorModel, field: ScaleField, image_px: FloatArray, height_m: FloatArray
+    ) -> Sights:
         """Lines of sight of `image_px` (n, 2) for ground near `height_m` (n,)."""
         rays = model.rays(image_px, height_m)
-        scale = ScaleField.of(model).at(image_px, height_m)
+        scale = field.at(image_px, height_m)
         return cls(
             np.ascontiguousarray(image_px),
             rays.origin_ecef_m,

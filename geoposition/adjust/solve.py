@@ -69,9 +69,10 @@ def equations_of(models: Sequence[SensorModel], blocks: Sequence[Block]) -> Equa
                 )
     for image in range(len(models)):
         for kind in ("image", "mounting", "time", "look"):
-            same = [b.name for b in blocks if b.kind == kind and image in b.images]
-            if len(same) > 1:
-                raise ArgumentError(f"image {image}: one {kind} block expected, got {same}")
+            same = [b for b in blocks if b.kind == kind and image in b.images]
+            if len({b.detector for b in same}) < len(same):
+                given = [b.name for b in same]
+                raise ArgumentError(f"image {image}: one {kind} block expected, got {given}")
     first = block_starts(blocks)
     S = np.zeros((int(first[-1]), int(first[-1])))
     for i, block in enumerate(blocks):

@@ -44,7 +44,7 @@ class Block:
     - `orbit`: metres along the axes of `axes_ecef` (columns), functions of time by `basis`.
     - `time`: seconds added to all line times.
     - `look`: polynomials of `degree` over s, the sample from −1 to 1, added to the camera's
-      tangents x and y.
+      tangents x and y; over the whole row, or over CCD number `detector` alone.
     - `image`: line and sample moved by planes (degree 1) or constants over the image, its lines
       and samples from −1 to 1: observed less model, for RPCs and any model.
     """
@@ -57,6 +57,7 @@ class Block:
     covariance: FloatArray
     basis: TimeBasis | None = None
     degree: int = 0
+    detector: int | None = None
     axes_ecef: FloatArray = field(default_factory=lambda: np.eye(3))
 
     def __post_init__(self) -> None:
@@ -198,18 +199,23 @@ def look_angles(
     images: Sequence[int],
     *,
     degree: int = 2,
+    detector: int | None = None,
     sigma_rad: ArrayLike = LOOK_SIGMA_RAD,
 ) -> Block:
-    """Polynomial corrections of the tangents x (along) and y (across) over the detector.
+    """Polynomial corrections of the tangents x (along) and y (across) over the image row.
 
-    Each coefficient has `sigma_rad` at the ends of the row; shared by all images of a camera.
+    With `detector` they belong to that CCD alone and run over its own samples. Each coefficient
+    has `sigma_rad` at the ends; shared by all images of a camera. *Source*: P 10.
     """
     if not 0 <= degree <= 5:
         raise ArgumentError(f"{name}: degree 0 .. 5 expected, got {degree}")
     labels = tuple(f"{axis}{k}" for k in range(degree + 1) for axis in "xy")
     sigma = np.broadcast_to(np.asarray(sigma_rad, dtype=np.float64), (len(labels),))
     units = ("rad",) * len(labels)
-    return Block(name, "look", tuple(images), labels, units, np.diag(sigma**2), degree=degree)
+    covariance = np.diag(sigma**2)
+    return Block(
+        name, "look", tuple(images), labels, units, covariance, degree=degree, detector=detector
+    )
 
 
 def image_bias(

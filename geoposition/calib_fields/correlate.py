@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit, prange
 
 from geoposition.arrays import FloatArray, IntArray
-from geoposition.calib_fields.refine import Grey, Searched, Template
+from geoposition.calib_fields.refine import Searched, Template
+from geoposition.calib_fields.refine_kernels import Grey
 
 _FAST: Final = {"contract", "arcp", "nsz", "reassoc"}
 

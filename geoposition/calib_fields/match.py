@@ -10,25 +10,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from enum import IntEnum
-from typing import Final, NamedTuple, TypeAlias
+from dataclasses import replace
+from typing import Final, TypeAlias
 
 import numpy as np
 
-from geoposition.accuracy import enu_errors_m
-from geoposition.arrays import BoolArray, FlagArray, FloatArray, IntArray
-from geoposition.calib_fields.correlate import correlate
-from geoposition.calib_fields.geometry import Dom, OrthoImage, OrthoWindow
+from geoposition.arrays import IntArray
+from geoposition.calib_fields.dom import Dom
+from geoposition.calib_fields.geometry import OrthoImage
+from geoposition.calib_fields.match_block import Level, Patches, match_block, on_height
+from geoposition.calib_fields.matches import Cause, DomMatches, DomMatchOptions
 from geoposition.calib_fields.overlap import Overlap, find_overlap
-from geoposition.calib_fields.refine import Searched, Template, refine
 from geoposition.calib_fields.smooth import ImageCorrection, robust_polynomial
-from geoposition.errors import ArgumentError, GeometryError
-from geoposition.flags import has_result
+from geoposition.errors import GeometryError
 from geoposition.matching import ImageSource
 from geoposition.reimage.ortho import OrthoGrid
 from geoposition.sensor_model import SensorModel
 from geoposition.terrain import Terrain
+
+__all__ = ["Cause", "DomMatchOptions", "DomMatches", "match_dom"]
 
 Progress: TypeAlias = Callable[[int, int], None]
 
@@ -39,121 +39,6 @@ _LEAST_PATCHES: Final = 4
 """Patches across the shorter side of the overlap that the coarsest level keeps."""
 _BLOCK_PX: Final = 512
 _LEAST_POINTS: Final = 12
-_EDGE_PX: Final = 4
-_FEATURELESS: Final = 0.02
-"""Contrast of a patch below this part of the scene's is none."""
-
-
-class Cause(IntEnum):
-    """What became of a patch: used, or why not."""
-
-    USED = 0
-    NO_TEXTURE = 1
-    LOW_CORRELATION = 2
-    OUTSIDE = 3
-    """Outside the image or the orthophoto."""
-    NODATA = 4
-    """Too many pixels without a value (cloud mask, holes), or terrain without a height."""
-    NOT_CONVERGED = 5
-    OUTLIER = 6
-
-
-@dataclass(frozen=True, slots=True)
-class DomMatchOptions:
-    """How to match.
-
-    `search_m` is how far off the model may be on the ground; `spacing_px` the distance of patches
-    in pixels of the lattice, by default half of `window_px` or what gives `most_points`.
-    `outlier_limit` counts robust standard deviations from a polynomial of `outlier_degree`.
-    """
-
-    window_px: int = 64
-    spacing_px: int | None = None
-    search_m: float = 100.0
-    least_correlation: float = 0.4
-    least_known: float = 0.8
-    most_points: int = 4000
-    outlier_degree: int = 3
-    outlier_limit: float = 4.5
-
-    def __post_init__(self) -> None:
-        if not 16 <= self.window_px <= 512:
-            raise ArgumentError(f"window: 16 to 512 pixels expected, got {self.window_px}")
-        if self.spacing_px is not None and self.spacing_px < 4:
-            raise ArgumentError(f"spacing: at least 4 pixels expected, got {self.spacing_px}")
-        if not 0.0 <= self.search_m <= 20e3:
-            raise ArgumentError(f"search: 0 to 20000 m expected, got {self.search_m:g}")
-        if not 0.0 < self.least_correlation < 1.0 or not 0.1 <= self.least_known <= 1.0:
-            raise ArgumentError("least correlation and known share: parts of 1 expected")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DomMatches:
-    """Patches tried, n of them, and where the image shows them.
-
-    `ground` (n, 3) is the reference: orthophoto and terrain. `model_px` (n, 2) is where the model
-    puts it, `image_px` (n, 2) where the image shows it, with `covariance_px2` (n, 2, 2) of the
-    matching. `shift_en_m` (n, 2) is what brings the image's ground position onto the reference,
-    reference less located, east and north, with `covariance_m2`. NaN where `cause` (n,) is not
-    `USED`, but for outliers.
-    `pixel_m` is the size of the lattice's pixels, `ground_sample_m` (line, sample) the image's.
-    """
-
-    ground: FloatArray
-    model_px: FloatArray
-    image_px: FloatArray
-    covariance_px2: FloatArray
-    shift_en_m: FloatArray
-    covariance_m2: FloatArray
-    correlation: FloatArray
-    cause: FlagArray
-    pixel_m: float
-    ground_sample_m: tuple[float, float]
-    window_px: int
-    spacing_px: int
-    lines_per_pixel: tuple[float, float]
-    """Image lines that a pixel of the lattice down, and to the right, is worth."""
-
-    @property
-    def used(self) -> BoolArray:
-        """Which patches count (n,)."""
-        result: BoolArray = self.cause == Cause.USED
-        return result
-
-    @property
-    def error_px(self) -> FloatArray:
-        """Observed less modelled place (n, 2), line and sample."""
-        return self.image_px - self.model_px
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """How many patches each cause has."""
-        return {cause.name.lower(): int(np.sum(self.cause == cause)) for cause in Cause}
-
-
-class _Patches(NamedTuple):
-    """The columns of `DomMatches` for some patches; `cause` as numbers."""
-
-    ground: FloatArray
-    model_px: FloatArray
-    image_px: FloatArray
-    covariance_px2: FloatArray
-    shift_en_m: FloatArray
-    covariance_m2: FloatArray
-    correlation: FloatArray
-    cause: FloatArray
-
-    @classmethod
-    def lost(cls, n: int, cause: Cause) -> _Patches:
-        """Of `n` patches that came to nothing for one `cause`."""
-
-        def empty(*shape: int) -> FloatArray:
-            return np.full((n, *shape), np.nan)
-
-        return cls(
-            empty(3), empty(2), empty(2), empty(2, 2), empty(2), empty(2, 2), empty(),
-            np.full(n, float(cause)),
-        )  # fmt: skip
 
 
 def match_dom(
@@ -180,18 +65,7 @@ def match_dom(
     return _without_outliers(found, options)
 
 
-@dataclass(frozen=True, slots=True)
-class _Level:
-    """A lattice `factor` times coarser than the orthophoto's; patches every `spacing` pixels."""
-
-    factor: int
-    pixel_m: float
-    radius: int
-    spacing: int
-    degree: int
-
-
-def _levels(overlap: Overlap, options: DomMatchOptions) -> list[_Level]:
+def _levels(overlap: Overlap, options: DomMatchOptions) -> list[Level]:
     """Levels from coarse to fine; the coarsest reaches `search_m` within few pixels."""
     base, pixel_m = overlap.factor, overlap.pixel_m
     size = min(overlap.shape)
@@ -212,7 +86,7 @@ def _levels(overlap: Overlap, options: DomMatchOptions) -> list[_Level]:
         first = k == halvings
         radius = math.ceil(options.search_m / (pixel_m * scale)) if first else _FINE_RADIUS_PX
         degree = 1 if first else 3
-        levels.append(_Level(base * scale, pixel_m * scale, max(radius, 2), spacing, degree))
+        levels.append(Level(base * scale, pixel_m * scale, max(radius, 2), spacing, degree))
     if halvings == 0 and levels[0].radius > _FINE_RADIUS_PX:
         # find the shift first, then match closely: edges and covariances want a small search
         coarse = max(levels[0].spacing, math.ceil(math.sqrt(np.prod(overlap.shape) / 400)))
@@ -227,7 +101,7 @@ def _match_level(
     image: OrthoImage,
     dom: Dom,
     overlap: Overlap,
-    level: _Level,
+    level: Level,
     options: DomMatchOptions,
     progress: Progress | None,
 ) -> DomMatches:
@@ -243,7 +117,7 @@ def _match_level(
         corners = np.stack(
             np.meshgrid(rows[i : i + per], cols[j : j + per], indexing="ij"), axis=-1
         ).reshape(-1, 2)
-        parts.append(_match_block(image, dom, lattice, overlap, level, corners, options))
+        parts.append(match_block(image, dom, lattice, overlap, level, corners, options))
         if progress is not None:
             progress(done + 1, len(blocks))
     if not parts:
@@ -251,7 +125,7 @@ def _match_level(
             f"the overlap of image and orthophoto is {overlap.shape[0]} x {overlap.shape[1]} "
             f"pixels of {overlap.pixel_m:g} m: too small for patches of {options.window_px}"
         )
-    columns = _Patches(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    columns = Patches(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     return DomMatches(
         ground=columns.ground,
         model_px=columns.model_px,
@@ -275,7 +149,7 @@ def _lines_per_pixel(
     top, left, bottom, right = bounds
     middle = np.array([0.5 * (top + bottom), 0.5 * (left + right)])
     place = middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    ground = _on_height(lattice, place, np.full(3, overlap.height_m))
+    ground = on_height(lattice, place, np.full(3, overlap.height_m))
     line = model.ground_to_image(ground).image_px[:, 0]
     return float(line[1] - line[0]), float(line[2] - line[0])
 
@@ -290,136 +164,7 @@ def _spread(first: int, last: int, window: int, spacing: int) -> IntArray:
     return start + spacing * np.arange(count, dtype=np.int64)
 
 
-def _match_block(
-    image: OrthoImage,
-    dom: Dom,
-    lattice: OrthoGrid,
-    overlap: Overlap,
-    level: _Level,
-    corners: IntArray,
-    options: DomMatchOptions,
-) -> _Patches:
-    """Match patches near each other."""
-    window, margin = options.window_px, level.radius + _EDGE_PX
-    low = corners.min(axis=0) - margin
-    size = corners.max(axis=0) + window + margin - low
-    grid = lattice.window(int(low[0]), int(low[1]), int(size[0]), int(size[1]))
-    n = len(corners)
-    reference = dom.read(grid)
-    if not np.isfinite(reference).any():
-        return _Patches.lost(n, Cause.NODATA)
-    ortho = image.on(grid, overlap.mean_sample_m, level.pixel_m)
-    if not np.isfinite(ortho.grey).any():
-        hole = bool(ortho.without_height.any())
-        return _Patches.lost(n, Cause.NODATA if hole else Cause.OUTSIDE)
-    template, searched = Template.of(reference), Searched.of(ortho.grey)
-    own = corners - low
-    whole, score, contrast = correlate(
-        template, searched, own, window, level.radius, options.least_known
-    )
-    spread = np.array([np.nanstd(reference), np.nanstd(ortho.grey)])
-    fit = refine(template, searched, own, whole.astype(np.float64), window)
-    known = np.isfinite(score)
-    flat = known & ~np.all(contrast > _FEATURELESS * spread, axis=1)
-    low_score = known & ~flat & ~(np.fmax(score, fit.correlation) >= options.least_correlation)
-    at_edge = np.max(np.abs(whole), axis=1) >= level.radius
-    lost = known & ~flat & ~low_score & (~fit.converged | at_edge)
-    cause: FlagArray = np.full(n, Cause.USED, dtype=np.uint8)
-    cause[~known] = _unknown_cause(reference, ortho, own[~known], window)
-    cause[flat], cause[low_score] = Cause.NO_TEXTURE, Cause.LOW_CORRELATION
-    cause[lost] = Cause.NOT_CONVERGED
-    good = known & ~flat & ~low_score & ~lost
-    middle = own + fit.middle_px
-    patches = _measured(image, grid, middle, fit.shift_px, fit.covariance_px2, good)
-    return patches._replace(correlation=fit.correlation, cause=cause.astype(np.float64))
-
-
-def _unknown_cause(
-    reference: FloatArray, ortho: OrthoWindow, corners: IntArray, window: int
-) -> FlagArray:
-    """Outside, or without data: what more pixels of a patch suffer from."""
-    out = np.empty(len(corners), dtype=np.uint8)
-    holes = (ortho.without_height != 0) | ~np.isfinite(reference)
-    masked = ~np.isfinite(ortho.grey) & (ortho.flag == 0)
-    for k, (row, col) in enumerate(corners):
-        part = np.s_[row : row + window, col : col + window]
-        empty = np.sum(holes[part] | masked[part])
-        beyond = np.sum(~np.isfinite(ortho.grey[part]) & ~holes[part] & ~masked[part])
-        out[k] = Cause.NODATA if empty >= beyond else Cause.OUTSIDE
-    return out
-
-
-def _measured(
-    image: OrthoImage,
-    grid: OrthoGrid,
-    middle: FloatArray,
-    shift_px: FloatArray,
-    covariance_px2: FloatArray,
-    good: BoolArray,
-) -> _Patches:
-    """Places, residuals and covariances of patches around `middle` (n, 2); NaN where not good."""
-    out = _Patches.lost(len(middle), Cause.USED)
-    # the reference is kept for all, so that a map can show what was lost
-    out.ground[:] = _on_terrain(image.terrain, grid, middle)
-    projected = image.model.ground_to_image(out.ground)
-    out.model_px[:] = np.where(has_result(projected.flag)[:, None], projected.image_px, np.nan)
-    rows = np.flatnonzero(good)
-    if not rows.size:
-        return out
-    there = _on_terrain(image.terrain, grid, middle[rows] + shift_px[rows])
-    found = image.model.ground_to_image(there)
-    seen = np.where(has_result(found.flag)[:, None], found.image_px, np.nan)
-    out.image_px[rows] = seen + image.correction.at(seen)
-    # the image's own scale and turn: how a pixel of the lattice moves the image's
-    height = out.ground[rows, 2]
-    step = [
-        image.model.ground_to_image(_on_height(grid, middle[rows] + move, height)).image_px
-        for move in np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    ]
-    jacobian = np.stack([step[1] - step[0], step[2] - step[0]], axis=-1)
-    out.covariance_px2[rows] = jacobian @ covariance_px2[rows] @ np.swapaxes(jacobian, -1, -2)
-    out.shift_en_m[rows], out.covariance_m2[rows] = _on_ground(
-        image, out.ground[rows], out.image_px[rows], out.covariance_px2[rows], out.model_px[rows]
-    )
-    return out
-
-
-def _on_ground(
-    image: OrthoImage,
-    ground: FloatArray,
-    image_px: FloatArray,
-    covariance_px2: FloatArray,
-    model_px: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """East and north from where the model locates the image points to the reference, metres.
-
-    At the reference's height: the error of the image's plane coordinates, not of the terrain.
-    """
-    height = ground[:, 2]
-    located = image.model.image_to_ground(image_px, height)
-    en = -enu_errors_m(located.geodetic, ground)[:, :2]
-    steps = []
-    at = image.model.image_to_ground(model_px, height).geodetic
-    for move in ((1.0, 0.0), (0.0, 1.0)):
-        moved = image.model.image_to_ground(model_px + move, height).geodetic
-        steps.append(enu_errors_m(moved, at)[:, :2])
-    jacobian = np.stack(steps, axis=-1)
-    return en, jacobian @ covariance_px2 @ np.swapaxes(jacobian, -1, -2)
-
-
-def _on_terrain(terrain: Terrain, grid: OrthoGrid, place: FloatArray) -> FloatArray:
-    ground = grid.geodetic(place[:, 0], place[:, 1], 0.0)
-    ground[:, 2] = terrain.height_at(ground[:, :2]).height_m
-    return ground
-
-
-def _on_height(grid: OrthoGrid, place: FloatArray, height_m: FloatArray) -> FloatArray:
-    ground = grid.geodetic(place[:, 0], place[:, 1], 0.0)
-    ground[:, 2] = height_m
-    return ground
-
-
-def _correction(found: DomMatches, level: _Level, before: ImageCorrection) -> ImageCorrection:
+def _correction(found: DomMatches, level: Level, before: ImageCorrection) -> ImageCorrection:
     """Smooth correction from a level's matches; as before where they do not agree."""
     used = found.used & np.isfinite(found.error_px).all(axis=1)
     if used.sum() < 3:

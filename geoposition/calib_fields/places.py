@@ -20,12 +20,16 @@ _LEAST_HALF_M: Final = 5.0
 
 
 def image_places(
-    model: SensorModel, terrain: Terrain, grid: OrthoGrid, bound_px: float = _BOUND_PX
+    model: SensorModel,
+    terrain: Terrain,
+    grid: OrthoGrid,
+    bound_px: float = _BOUND_PX,
+    first_step: int = _FIRST_STEP,
 ) -> tuple[FloatArray, FlagArray]:
     """Image points (rows, cols, 2) of the pixels of `grid`, NaN where `flag` (rows, cols) says why.
 
     As `reimage.ortho_window`, without its care for pixels at the image's very border: cells of
-    nodes that the model does not reach are left out.
+    nodes, at most `first_step` pixels wide, that the model does not reach are left out.
     """
     height_at = terrain.height_at(_lon_lat(grid))
     height = height_at.height_m
@@ -36,7 +40,7 @@ def image_places(
         return image, flag
     low, high = float(np.nanmin(height)), float(np.nanmax(height))
     middle, half = 0.5 * (low + high), max(0.5 * (high - low), _LEAST_HALF_M)
-    step = _FIRST_STEP
+    step = first_step
     while True:
         nodes = _nodes(model, grid, step, 0.0, middle, half)
         between = _nodes(model, grid, step, 0.5 * step, middle, half)[:-1, :-1]

@@ -54,7 +54,8 @@ def profile(coordinate_px: FloatArray, residual_px: FloatArray, bins: int) -> Pr
 class SpectralLine:
     """A vibration: frequency, its amplitudes and phases along track (line) and across (sample).
 
-    The residual is amplitude · sin(2π frequency · t + phase), t the time or the line. `sigma_...`
+    The residual is amplitude · sin(2π frequency · t + phase), t the time or the line from the
+    middle of those it was found over. `sigma_...`
     are standard deviations; `transfer` is what the windows let through, already divided out.
     """
 
@@ -64,6 +65,15 @@ class SpectralLine:
     sigma_amplitude_px: float
     phase_rad: tuple[float, float]
     transfer: float
+
+    def measured(self, time: FloatArray) -> FloatArray:
+        """Return what patches at `time` (n,) show of it: (n, 2), damped by their windows.
+
+        `time` counts from the middle of the times it was found over.
+        """
+        turn = 2.0 * np.pi * self.frequency * time[:, None] + np.array(self.phase_rad)
+        result: FloatArray = self.transfer * np.array(self.amplitude_px) * np.sin(turn)
+        return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)

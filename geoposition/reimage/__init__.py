@@ -1,7 +1,8 @@
 """New images from old ones: steady re-imaging and orthorectification, and what both share."""
 
 from geoposition.reimage.mapping import RowMap, SourceMapping, map_models
-from geoposition.reimage.ortho import OrthoGrid, OrthoTask, ortho_window
+from geoposition.reimage.ortho import OrthoTask, ortho_window
+from geoposition.reimage.ortho_grid import OrthoGrid
 from geoposition.reimage.resample import METHODS, Method, Resampler
 from geoposition.reimage.steady import SteadyAttitude, SteadyOptions, steady_attitude, steady_model
 from geoposition.reimage.strips import Part, Strip, displacement_px, parts_of, strips

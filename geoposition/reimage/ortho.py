@@ -16,13 +16,29 @@ from numpy.typing import NDArray
 
 from geoposition.arrays import BoolArray, FlagArray, FloatArray
 from geoposition.constants import WGS84_A_M
-from geoposition.datum import from_crs, to_crs
-from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import Flag, has_result
 from geoposition.locate import locate
-from geoposition.reimage.ortho_kernels import places_at_heights, spread_nodes
+from geoposition.reimage.ortho_grid import OrthoGrid
+from geoposition.reimage.ortho_kernels import (
+    heights_on_mesh,
+    places_at_heights,
+    settle_flags,
+    spread_nodes,
+)
+from geoposition.reimage.place_kernels import extremes
 from geoposition.sensor_model import SensorModel
 from geoposition.terrain import Terrain
+from geoposition.terrain.mesh import height_mesh
+
+__all__ = [
+    "DEFAULT_BOUND_PX",
+    "FIRST_STEP",
+    "OrthoGrid",
+    "OrthoPlaces",
+    "OrthoTask",
+    "block_means",
+    "ortho_window",
+]
 
 DEFAULT_BOUND_PX: Final = 0.005
 FIRST_STEP: Final = 64
@@ -32,75 +48,6 @@ _LARGEST_CELL_PX: Final = 64.0
 """In the image: a model answers for a margin around it that is larger."""
 _PROBES: Final = 9
 _LEAST_HALF_M: Final = 5.0
-_BORDER: Final = 33
-_MOST_PIXELS: Final = 10**11
-
-
-@dataclass(frozen=True, slots=True)
-class OrthoGrid:
-    """Pixels of a map: north up, square, `resolution` units of `crs` wide.
-
-    The outer corner of the first one is at (`left`, `top`); `shape` is (rows, cols).
-    """
-
-    crs: str
-    left: float
-    top: float
-    resolution: float
-    shape: tuple[int, int]
-
-    def __post_init__(self) -> None:
-        if not self.resolution > 0.0:
-            raise ArgumentError(f"ortho: a positive resolution expected, got {self.resolution}")
-        if min(self.shape) < 1 or self.shape[0] * self.shape[1] > _MOST_PIXELS:
-            raise ArgumentError(f"ortho: {self.shape} pixels: too few or too many")
-
-    @classmethod
-    def around(cls, model: SensorModel, terrain: Terrain, crs: str, resolution: float) -> OrthoGrid:
-        """Grid around what `model` sees of `terrain`, on whole multiples of the resolution."""
-        if not resolution > 0.0:
-            raise ArgumentError(f"ortho: a positive resolution expected, got {resolution}")
-        lines, samples = model.shape
-        rows = np.linspace(-0.5, lines - 0.5, _BORDER)
-        cols = np.linspace(-0.5, samples - 0.5, _BORDER)
-        image = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
-        ground = locate(model, image, terrain)
-        seen = has_result(ground.flag)
-        if not seen.any():
-            raise GeometryError("ortho: the terrain has no height where the image looks")
-        place = to_crs(crs, ground.geodetic[seen])[:, :2]
-        low = np.floor(place.min(axis=0) / resolution)
-        high = np.ceil(place.max(axis=0) / resolution)
-        cols_rows = np.maximum(high - low, 1.0)
-        if not np.isfinite(cols_rows).all() or np.prod(cols_rows) > _MOST_PIXELS:
-            raise ArgumentError(f"ortho: {cols_rows[1]:g} x {cols_rows[0]:g} pixels are too many")
-        return cls(
-            crs,
-            float(low[0] * resolution),
-            float(high[1] * resolution),
-            resolution,
-            (int(cols_rows[1]), int(cols_rows[0])),
-        )
-
-    def window(self, row: int, col: int, rows: int, cols: int) -> OrthoGrid:
-        """Grid of `rows` x `cols` pixels from (`row`, `col`) on."""
-        left, top = self.left + col * self.resolution, self.top - row * self.resolution
-        return OrthoGrid(self.crs, left, top, self.resolution, (rows, cols))
-
-    def finer(self, factor: int) -> OrthoGrid:
-        """Grid of the same extent with `factor` times as many rows and columns."""
-        rows, cols = self.shape
-        return OrthoGrid(
-            self.crs, self.left, self.top, self.resolution / factor, (rows * factor, cols * factor)
-        )
-
-    def geodetic(self, row: FloatArray, col: FloatArray, height_m: float) -> FloatArray:
-        """Ground points (..., 3) of fractional pixels `row`, `col` (...) at one height."""
-        x = self.left + (col + 0.5) * self.resolution
-        y = self.top - (row + 0.5) * self.resolution
-        points = from_crs(self.crs, np.stack([x, y, np.zeros_like(x)], axis=-1))
-        points[..., 2] = height_m
-        return points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,18 +78,23 @@ class OrthoPlaces:
     flag: FlagArray
     error_px: float
 
+    @property
+    def bounds_px(self) -> tuple[FloatArray, FloatArray] | None:
+        """Lowest and highest (line, sample); none if no pixel has a place."""
+        each = np.empty((len(self.line), 4))
+        extremes(self.line, self.sample, each)
+        low, high = each[:, ::2].min(axis=0), each[:, 1::2].max(axis=0)
+        return (low, high) if np.all(low <= high) else None
+
 
 def ortho_window(task: OrthoTask, grid: OrthoGrid) -> OrthoPlaces:
-    """Places in the image of the pixels of `grid`, a window of some hundred pixels a side."""
-    ground = _spread(grid)
-    found = task.terrain.height_at(ground)
-    height = found.height_m
-    known = np.isfinite(height)
-    line, sample = np.full(grid.shape, np.nan), np.full(grid.shape, np.nan)
-    flag: FlagArray = np.array(found.flag)
-    if not known.any():
+    """Places in the image of the pixels of `grid`, a window of some million pixels."""
+    line, sample = np.empty(grid.shape), np.empty(grid.shape)
+    height, flag, (low, high) = _heights(task.terrain, grid)
+    if not low <= high:
+        line.fill(np.nan)
+        sample.fill(np.nan)
         return OrthoPlaces(line, sample, flag, 0.0)
-    low, high = float(np.nanmin(height)), float(np.nanmax(height))
     middle, half = 0.5 * (low + high), max(0.5 * (high - low), _LEAST_HALF_M)
     step = _first_step(task.model, grid, middle)
     while True:
@@ -152,17 +104,28 @@ def ortho_window(task: OrthoTask, grid: OrthoGrid) -> OrthoPlaces:
             break
         step //= 2
     places_at_heights(nodes, step, height, middle, half, line, sample)
-    lines, samples = task.model.shape
-    inside = (np.abs(line - 0.5 * (lines - 1)) <= 0.5 * lines) & (
-        np.abs(sample - 0.5 * (samples - 1)) <= 0.5 * samples
-    )
-    flag[known & ~inside] = Flag.OUTSIDE_MODEL
+    settle_flags(line, sample, *task.model.shape, flag)
     if task.occlusion:
-        hidden = _hidden(task, grid, ground, line, sample, known & inside)
+        hidden = _hidden(task, grid, line, sample, flag == Flag.OK)
         flag[hidden] = Flag.NO_INTERSECTION
-    lost = flag != Flag.OK
-    line[lost] = sample[lost] = np.nan
+        line[hidden] = sample[hidden] = np.nan
     return OrthoPlaces(line, sample, flag, error)
+
+
+def _heights(
+    terrain: Terrain, grid: OrthoGrid
+) -> tuple[FloatArray, FlagArray, tuple[float, float]]:
+    """Heights and flags (rows, cols) of the pixels' centres, and bounds of the heights."""
+    nodes, step = _ground_nodes(grid)
+    mesh = height_mesh(terrain, nodes)
+    if mesh is not None:
+        height, flag = np.empty(grid.shape), np.empty(grid.shape, np.uint8)
+        heights_on_mesh(mesh.height_m, mesh.place, step, height, flag)
+        return height, flag, (mesh.lowest_m, mesh.highest_m)
+    found = terrain.height_at(_spread(grid, nodes, step))
+    known = found.height_m[np.isfinite(found.height_m)]
+    bounds = (float(known.min()), float(known.max())) if known.size else (np.inf, -np.inf)
+    return found.height_m, np.array(found.flag), bounds
 
 
 def _axes(grid: OrthoGrid, step: int) -> tuple[FloatArray, FloatArray]:
@@ -170,9 +133,11 @@ def _axes(grid: OrthoGrid, step: int) -> tuple[FloatArray, FloatArray]:
     return row, col
 
 
-def _spread(grid: OrthoGrid) -> FloatArray:
-    """Longitude and latitude (rows, cols, 2) of the pixels' centres, to a few millimetres."""
-    out = np.empty((*grid.shape, 2))
+def _ground_nodes(grid: OrthoGrid) -> tuple[FloatArray, int]:
+    """Longitude and latitude (r, c, 2) of nodes so close that a line between them will do.
+
+    And how many pixels lie between them.
+    """
     step = FIRST_STEP
     while True:
         row, col = _axes(grid, step)
@@ -183,9 +148,14 @@ def _spread(grid: OrthoGrid) -> FloatArray:
         mean = 0.25 * (nodes[1:, 1:] + nodes[1:, :-1] + nodes[:-1, 1:] + nodes[:-1, :-1])
         missed = float(np.nanmax(np.abs(mean - middle), initial=0.0)) * WGS84_A_M
         if missed < 1e-3 * max(_metres(grid), 0.1) or step <= _LEAST_STEP:
-            break
+            return np.ascontiguousarray(nodes), step
         step //= 2
-    spread_nodes(np.ascontiguousarray(nodes), step, out)
+
+
+def _spread(grid: OrthoGrid, nodes: FloatArray, step: int) -> FloatArray:
+    """Longitude and latitude (rows, cols, 2) of the pixels' centres, to a few millimetres."""
+    out = np.empty((*grid.shape, 2))
+    spread_nodes(nodes, step, out)
     return out
 
 
@@ -252,7 +222,6 @@ def _error(
 def _hidden(
     task: OrthoTask,
     grid: OrthoGrid,
-    ground: FloatArray,
     line: FloatArray,
     sample: FloatArray,
     asked: BoolArray,
@@ -261,10 +230,11 @@ def _hidden(
     hidden = np.zeros(asked.shape, dtype=np.bool_)
     if not asked.any():
         return hidden
+    ground = _spread(grid, *_ground_nodes(grid))[asked]
     image = np.stack([line[asked], sample[asked]], axis=-1)
     first = locate(task.model, image, task.terrain)
-    apart = first.geodetic[:, :2] - ground[asked]
-    apart[:, 0] *= np.cos(ground[asked][:, 1])
+    apart = first.geodetic[:, :2] - ground
+    apart[:, 0] *= np.cos(ground[:, 1])
     metres = np.hypot(apart[:, 0], apart[:, 1]) * WGS84_A_M
     hidden[asked] = has_result(first.flag) & (metres > _metres(grid))
     return hidden

@@ -9,15 +9,15 @@ import numpy as np
 from numba import njit, prange
 
 from geoposition.arrays import FlagArray, FloatArray
-from geoposition.reimage.resample_kernels import (
+from geoposition.reimage.resample_kernels import clear_of_holes
+from geoposition.reimage.sample_kernels import (
     BILINEAR,
     CUBIC,
     NEAREST,
     Float32Array,
     Pixels,
-    _cubic_weights,
     careful_value,
-    clear_of_holes,
+    cubic_weights,
 )
 
 _FAST: Final = {"contract", "arcp", "nsz", "reassoc"}
@@ -41,8 +41,8 @@ def _bilinear(image: Pixels, i: int, j: int, y: np.float32, x: np.float32) -> np
 
 @njit(**_INLINE)
 def _cubic(image: Pixels, i: int, j: int, y: np.float32, x: np.float32) -> np.float32:
-    a, b, c, d = _cubic_weights(x)
-    rows = _cubic_weights(y)
+    a, b, c, d = cubic_weights(x)
+    rows = cubic_weights(y)
     value = np.float32(0.0)
     for k in range(4):
         row = image[i + k - 1, j - 1 : j + 3]
@@ -102,3 +102,17 @@ def resample_places(
                 else:
                     out[row, col] = min(max(found, low), high) + half if known else fill
                 valid[row, col] = known
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def extremes(line: FloatArray, sample: FloatArray, out: FloatArray) -> None:
+    """Fill `out` (rows, 4) with lowest and highest line, then sample, of each row's places."""
+    rows, cols = line.shape
+    for row in prange(rows):
+        low_y, high_y, low_x, high_x = math.inf, -math.inf, math.inf, -math.inf
+        for col in range(cols):
+            y, x = line[row, col], sample[row, col]
+            if y == y and x == x:
+                low_y, high_y = min(low_y, y), max(high_y, y)
+                low_x, high_x = min(low_x, x), max(high_x, x)
+        out[row, 0], out[row, 1], out[row, 2], out[row, 3] = low_y, high_y, low_x, high_x

@@ -1,4 +1,4 @@
-"""The image files of re-imaging: sources read by lines, results written by windows, then as COG."""
+"""The images that new ones are made of, read by lines or windows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 import rasterio
-import rasterio.shutil
 from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
@@ -21,7 +20,6 @@ from rasterio.windows import Window
 from geoposition.errors import MissingFileError, ProductError, UnsupportedError
 from geoposition.reimage.resample import PIXEL_TYPES
 
-TILE: Final = 512
 _CACHE_MB: Final = 192
 
 
@@ -41,6 +39,7 @@ class ImageFile:
     nodata: float | None
     first_line: int
     first_sample: int
+    band_names: tuple[str, ...]
     lock: Any
 
     def lines(self, first: int, end: int) -> NDArray[Any]:
@@ -66,7 +65,10 @@ def opened_image(path: str | PathLike[str], crop: bool = True) -> Iterator[Image
     with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         try:
-            raster = rasterio.open(path, num_threads="all_cpus")
+            raster = rasterio.open(path)
+            if raster.compression is not None and raster.driver == "GTiff":
+                raster.close()
+                raster = rasterio.open(path, num_threads="all_cpus")
         except RasterioError:
             raise ProductError(path, "", "an image expected, not readable as a raster") from None
         with raster:
@@ -87,6 +89,7 @@ def opened_image(path: str | PathLike[str], crop: bool = True) -> Iterator[Image
                 np.dtype(raster.dtypes[0]),
                 nodata,
                 *first,
+                tuple(name or "" for name in raster.descriptions),
                 threading.Lock(),
             )
 
@@ -98,74 +101,6 @@ def _first_pixel(raster: Any) -> tuple[int, int]:
     if unit and not mapped and t.f >= 0.0 and t.c >= 0.0:
         return round(t.f), round(t.c)
     return 0, 0
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """What a raster to be written is like; `transform` are GDAL's six numbers, if any."""
-
-    shape: tuple[int, int]
-    bands: int
-    dtype: str
-    nodata: float | None = None
-    crs: str | None = None
-    transform: tuple[float, ...] | None = None
-
-
-@contextmanager
-def written_raster(path: Path, layout: Layout) -> Iterator[Any]:
-    """Open a tiled GeoTIFF to write into by windows; not compressed, so that any order is fast."""
-    extra: dict[str, Any] = {}
-    if layout.crs is not None:
-        extra["crs"] = layout.crs
-    if layout.transform is not None:
-        extra["transform"] = rasterio.Affine.from_gdal(*layout.transform)
-    with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        if layout.shape[1] >= TILE:
-            extra |= {"tiled": True, "blockxsize": TILE, "blockysize": TILE}
-        try:
-            with rasterio.open(
-                path, "w", driver="GTiff", width=layout.shape[1], height=layout.shape[0],
-                count=layout.bands, dtype=layout.dtype, nodata=layout.nodata,
-                bigtiff="IF_SAFER", **extra,
-            ) as raster:  # fmt: skip
-                yield raster
-        except RasterioError as error:
-            raise ProductError(path, "", f"a writable place expected ({_line(error)})") from None
-
-
-def write_rows(raster: Any, first_row: int, pixels: NDArray[Any]) -> None:
-    """Write `pixels` (bands, rows, cols) as the rows from `first_row` on."""
-    _, rows, cols = pixels.shape
-    raster.write(pixels, window=Window(0, first_row, cols, rows))
-
-
-def to_cog(source: Path, target: Path, compress: str, overviews: str = "average") -> None:
-    """Copy `source` to a cloud-optimised GeoTIFF; tags and RPC go along.
-
-    `overviews` are "average", "nearest" (of codes), or "none".
-    """
-    options: dict[str, Any] = {
-        "COMPRESS": compress.upper(),
-        "BLOCKSIZE": TILE,
-        "NUM_THREADS": "ALL_CPUS",
-        "BIGTIFF": "IF_SAFER",
-    }
-    if overviews == "none":
-        options["OVERVIEWS"] = "NONE"
-    else:
-        options["RESAMPLING"] = overviews.upper()
-    if compress in ("deflate", "zstd"):
-        options["LEVEL"] = 1
-    if compress != "none":
-        options["PREDICTOR"] = "YES"
-    with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        try:
-            rasterio.shutil.copy(source, target, driver="COG", **options)
-        except RasterioError as error:
-            raise ProductError(target, "", f"a writable place expected ({_line(error)})") from None
 
 
 def _line(error: Exception) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
@@ -11,21 +12,24 @@ from numpy.typing import DTypeLike, NDArray
 from geoposition.arrays import FlagArray
 from geoposition.errors import ArgumentError
 from geoposition.reimage import resample_kernels as kernels
+from geoposition.reimage import sample_kernels as samples
 from geoposition.reimage.mapping import RowMap
 from geoposition.reimage.place_kernels import resample_places
 
 Method: TypeAlias = Literal["nearest", "bilinear", "cubic", "lanczos"]
 
 METHODS: Final[dict[str, int]] = {
-    "nearest": kernels.NEAREST,
-    "bilinear": kernels.BILINEAR,
-    "cubic": kernels.CUBIC,
-    "lanczos": kernels.LANCZOS,
+    "nearest": samples.NEAREST,
+    "bilinear": samples.BILINEAR,
+    "cubic": samples.CUBIC,
+    "lanczos": samples.LANCZOS,
 }
 PIXEL_TYPES: Final = ("uint8", "int16", "uint16", "float32")
 """What 32-bit floats hold without loss."""
 
 Pixels: TypeAlias = NDArray[Any]
+
+_SIGN: Final = np.uint16(1 << 15)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +53,7 @@ class Resampler:
     @property
     def reach(self) -> int:
         """Pixels on either side of a place that are looked at."""
-        return kernels.REACH[METHODS[self.method]]
+        return samples.REACH[METHODS[self.method]]
 
     def rows(
         self,
@@ -64,6 +68,10 @@ class Resampler:
         `image` (bands, lines, samples) is a window whose first pixel is at `origin` of the
         source; `cols` columns are made, from `first_col` on.
         """
+        if image.dtype == np.int16:
+            return self._signed(
+                image, lambda sampler, raised: sampler.rows(raised, places, cols, origin, first_col)
+            )
         shape = len(places.places), cols
         out, valid = _empty(image, shape)
         for band, target in zip(image, out, strict=True):
@@ -78,7 +86,7 @@ class Resampler:
                 float(origin[0]),
                 float(origin[1]),
                 METHODS[self.method],
-                kernels.LANCZOS_TABLE,
+                samples.LANCZOS_TABLE,
                 *limits,
                 target,
                 seen,
@@ -91,6 +99,10 @@ class Resampler:
         self, image: Pixels, line: Pixels, sample: Pixels, origin: tuple[int, int] = (0, 0)
     ) -> tuple[Pixels, FlagArray]:
         """Values (bands, rows, cols) at `line`, `sample` (rows, cols), as `rows`."""
+        if image.dtype == np.int16:
+            return self._signed(
+                image, lambda sampler, raised: sampler.at(raised, line, sample, origin)
+            )
         out, valid = _empty(image, line.shape)
         for band, target in zip(image, out, strict=True):
             seen = np.empty(line.shape, dtype=np.uint8)
@@ -102,7 +114,7 @@ class Resampler:
                 float(origin[0]),
                 float(origin[1]),
                 METHODS[self.method],
-                kernels.LANCZOS_TABLE,
+                samples.LANCZOS_TABLE,
                 *self._limits(band.dtype),
                 target,
                 seen,
@@ -110,6 +122,18 @@ class Resampler:
             self._keep_apart(target, seen)
             valid &= seen
         return out, valid
+
+    def _signed(
+        self, image: Pixels, work: Callable[[Resampler, Pixels], tuple[Pixels, FlagArray]]
+    ) -> tuple[Pixels, FlagArray]:
+        """Let `work` have signed numbers raised to unsigned ones: only those round by a cut."""
+        self._limits(image.dtype)
+        nodata = None if self.nodata is None else self.nodata + float(_SIGN)
+        pixels, valid = work(Resampler(self.method, nodata), image.view(np.uint16) ^ _SIGN)
+        signed: Pixels = (pixels ^ _SIGN).view(np.int16)
+        if nodata is None:
+            signed[:, valid == 0] = 0
+        return signed, valid
 
     def fill(self, dtype: DTypeLike) -> float:
         """Value of pixels of `dtype` that are not seen."""

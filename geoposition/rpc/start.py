@@ -103,6 +103,9 @@ def _find_start(
 ) -> StartTable | None:
     offs = np.array([np.mean(line_range), np.mean(samp_range)])
     halves = np.array([abs(np.ptp(line_range)) / 2.0, abs(np.ptp(samp_range)) / 2.0])
+    # Sizes and scales out of all proportion leave no width to work with.
+    if not np.all(np.isfinite(1.0 / halves)) or not np.all(np.isfinite(halves)):
+        return None
     centre, found = _invert(coefficients, offs[None], np.zeros(1), np.zeros(2))
     if not found[0]:
         centre, found = _invert(coefficients, np.zeros((1, 2)), np.zeros(1), np.zeros(2))

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from geoposition.arrays import BoolArray, FloatArray
-from geoposition.scripts.figures import _STYLE, COLOURS, _png
+from geoposition.scripts.figures import COLOURS, STYLE, png
 
 _MOST_POINTS: Final = 4000
 """A figure is 1000 pixels wide: more points only make the page heavy."""
@@ -31,7 +31,7 @@ def bands(band: Band, labels: Sequence[str], unit: str, time_label: str = "time,
     """Series above each other, each with its own scale and a band of three sigma."""
     pick = _thinned(len(band.times_s))
     times = band.times_s[pick]
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure, column = _column(len(labels))
         for k, (axes, label) in enumerate(zip(column, labels, strict=True)):
             line = band.values[pick, k]
@@ -48,14 +48,14 @@ def bands(band: Band, labels: Sequence[str], unit: str, time_label: str = "time,
             axes.set_ylabel(f"{label}, {unit}")
             axes.margins(x=0.0)
         column[-1].set_xlabel(time_label)
-        return _png(figure)
+        return png(figure)
 
 
 def innovations(
     times_s: FloatArray, residual: FloatArray, sigma: FloatArray, accepted: BoolArray, unit: str
 ) -> bytes:
     """Innovations (n, 3) as dots within three of their sigmas (n, 3); rejected ones set off."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure, column = _column(3)
         pick = _thinned(len(times_s))
         for k, axes in enumerate(column):
@@ -71,7 +71,7 @@ def innovations(
             axes.set_ylabel(f"{'xyz'[k]}, {unit}")
             axes.margins(x=0.0)
         column[-1].set_xlabel("time, s")
-        return _png(figure)
+        return png(figure)
 
 
 def spectra(
@@ -90,7 +90,7 @@ def spectra(
     cut = len(frequency) // block * block
     frequency = frequency[:cut].reshape(-1, block).mean(axis=1)
     values = density[good][:cut].reshape(-1, block, density.shape[1]).max(axis=1)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure, column = _column(len(labels), 1.5)
         for k, (axes, label) in enumerate(zip(column, labels, strict=True)):
             axes.fill_between(
@@ -104,12 +104,12 @@ def spectra(
             axes.set_ylabel(f"{label}, {unit}")
             axes.margins(x=0.0)
         column[-1].set_xlabel("frequency, Hz")
-        return _png(figure)
+        return png(figure)
 
 
 def angles(series: Mapping[str, tuple[FloatArray, FloatArray]], unit: str) -> bytes:
     """Series with their own times, named, each about its mean, above each other."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure, column = _column(len(series))
         for k, (axes, (name, (times, values))) in enumerate(
             zip(column, series.items(), strict=True)
@@ -121,7 +121,7 @@ def angles(series: Mapping[str, tuple[FloatArray, FloatArray]], unit: str) -> by
             axes.set_ylabel(unit)
             axes.margins(x=0.0)
         column[-1].set_xlabel("time, s")
-        return _png(figure)
+        return png(figure)
 
 
 def _column(count: int, height: float = 1.25) -> tuple[Figure, Any]:

@@ -13,6 +13,7 @@ import typer
 
 import geoposition
 from geoposition.errors import GeopositionError
+from geoposition.scripts.first_run import say_what_it_waits_for
 
 app = typer.Typer(
     name="geoposition",
@@ -40,11 +41,14 @@ _COMMANDS = (
     "locate",
     "project",
     "intersect",
+    "adjust",
     "export",
     "reimage",
     "ortho",
     "dsm",
     "evaluate",
+    "calibrate",
+    "batch",
     "rpc_fit",
     "rpc_compare",
     "rpc_convert",
@@ -56,7 +60,10 @@ _COMMANDS = (
     "attitude_convert",
     "attitude_fuse",
     "experiment_thesis_ch3",
+    "experiment_intervals",
     "experiment_thesis_ch4",
+    "experiment_thesis",
+    "experiment_jitter",
 )
 
 
@@ -67,15 +74,26 @@ def _main(
     if version:
         typer.echo(geoposition.__version__)
         raise typer.Exit
+    say_what_it_waits_for(sys.argv[1:])
+
+
+def command_words() -> frozenset[tuple[str, ...]]:
+    """Return every command as the words one types."""
+    return frozenset(_words_of(name) for name in _COMMANDS)
+
+
+def _words_of(name: str) -> tuple[str, ...]:
+    group, _, rest = name.partition("_")
+    words = (group, rest) if group in _GROUPS else (name,)
+    return tuple(word.replace("_", "-") for word in words)
 
 
 def build() -> typer.Typer:
     """Return the application with all commands registered."""
     for name in _COMMANDS:
         module = import_module(f"geoposition.scripts.commands.{name}")
-        group, _, rest = name.partition("_")
-        target = _GROUPS.get(group, app)
-        command = (rest if group in _GROUPS else name).replace("_", "-")
+        *group, command = _words_of(name)
+        target = _GROUPS[group[0]] if group else app
         registered = {entry.name for entry in target.registered_commands}
         if command not in registered:
             target.command(command)(module.command)

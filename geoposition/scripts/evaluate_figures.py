@@ -12,8 +12,10 @@ from matplotlib.figure import Figure
 from geoposition.arrays import FloatArray
 from geoposition.calib_fields.match import Cause, DomMatches
 from geoposition.calib_fields.profiles import Profile, ResidualSpectrum
-from geoposition.scripts.figures import _STYLE, COLOURS, _png
+from geoposition.scripts.figures import COLOURS, STYLE, VectorPanel, png
 
+LYING: Final = 1.6
+"""Images longer than that lie on their side in figures."""
 _MARKS: Final = {
     Cause.USED: (COLOURS[1], ".", "used"),
     Cause.OUTLIER: (COLOURS[0], "x", "outlier"),
@@ -25,31 +27,62 @@ _MARKS: Final = {
 
 
 def distribution(matches: DomMatches, shape: tuple[int, int]) -> bytes:
-    """Places of all patches over the image, marked by what became of them."""
+    """Places of all patches over the image, marked by what became of them.
+
+    Long images lie on their side, the lines running to the right.
+    """
     lines, samples = shape
-    with mpl.rc_context(_STYLE):
-        tall = lines / samples
-        figure = Figure(figsize=(6.2, float(np.clip(5.0 * tall, 2.4, 6.4))), layout="constrained")
+    lying = lines > LYING * samples
+    tall = samples / lines if lying else lines / samples
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(6.8, float(np.clip(5.0 * tall, 2.2, 5.6))), layout="constrained")
         axes = figure.add_subplot()
         for cause, (colour, mark, label) in _MARKS.items():
             place = matches.model_px[matches.cause == cause]
             if len(place):
-                axes.plot(
-                    place[:, 1], place[:, 0], mark, ms=4.0, color=colour,
-                    label=f"{label} ({len(place)})",
-                )  # fmt: skip
-        axes.set_xlim(-0.5, samples - 0.5)
-        axes.set_ylim(lines - 0.5, -0.5)
+                x, y = place.T if lying else place.T[::-1]
+                axes.plot(x, y, mark, ms=3.0, color=colour, label=f"{label} ({len(place)})")
+        if lying:
+            axes.set_xlim(-0.5, lines - 0.5)
+            axes.set_ylim(-0.5, samples - 0.5)
+        else:
+            axes.set_xlim(-0.5, samples - 0.5)
+            axes.set_ylim(lines - 0.5, -0.5)
         axes.set_aspect("equal")
-        axes.set_xlabel("sample")
-        axes.set_ylabel("line")
-        figure.legend(loc="outside right upper")
-        return _png(figure)
+        axes.set_xlabel("line" if lying else "sample")
+        axes.set_ylabel("sample" if lying else "line")
+        figure.legend(loc="outside lower center", ncols=3, markerscale=1.6)
+        return png(figure)
+
+
+def lying_vectors(panels: Sequence[VectorPanel], *, unit: str) -> bytes:
+    """Vector fields over a long image, places and vectors (line, sample), one below the other."""
+    with mpl.rc_context(STYLE):
+        wide = np.ptp(panels[0].place, axis=0)
+        height = float(np.clip(6.2 * wide[1] / max(float(wide[0]), 1.0), 0.8, 4.0)) + 0.7
+        figure = Figure(figsize=(6.8, height * len(panels)), layout="constrained")
+        column = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
+        for k, (axes, panel) in enumerate(zip(column, panels, strict=True)):
+            size = max(float(np.quantile(np.hypot(*panel.vector.T), 0.9)), 1e-9)
+            arrows = axes.quiver(
+                *panel.place.T, *panel.vector.T, angles="xy", scale_units="xy",
+                scale=15.0 * size / float(wide[0]), width=0.0016, color=COLOURS[k % len(COLOURS)],
+            )  # fmt: skip
+            axes.quiverkey(
+                arrows, 0.9, 1.06, size, f"{size:.2g} {unit}", labelpos="E", color="#222222",
+                fontproperties={"size": 8},
+            )  # fmt: skip
+            axes.set_title(panel.title)
+            axes.set_aspect("equal")
+            axes.margins(0.03)
+            axes.set_ylabel("sample")
+        column[-1].set_xlabel("line")
+        return png(figure)
 
 
 def profiles(along: Profile, across: Profile) -> bytes:
     """Mean residuals by line and by sample, with two standard deviations of the means."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 4.4), layout="constrained")
         column = figure.subplots(2, 1, sharey=True)
         for axes, found, label in zip(column, (along, across), ("line", "sample"), strict=True):
@@ -64,12 +97,12 @@ def profiles(along: Profile, across: Profile) -> bytes:
             axes.set_ylabel("residual, px")
             axes.margins(x=0.01)
         column[0].legend(ncols=2)
-        return _png(figure)
+        return png(figure)
 
 
 def spectrum(found: ResidualSpectrum) -> bytes:
     """Amplitudes over frequency, both axes, with the lines that stand out."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 2.8), layout="constrained")
         axes = figure.add_subplot()
         for k, name in enumerate(("x, along track", "y, across track")):
@@ -89,12 +122,12 @@ def spectrum(found: ResidualSpectrum) -> bytes:
         axes.set_ylim(bottom=0.0)
         axes.margins(x=0.0)
         axes.legend()
-        return _png(figure)
+        return png(figure)
 
 
 def beside(images: Mapping[str, FloatArray], captions: Sequence[str] = ()) -> bytes:
     """Grey images beside each other, each stretched between its 2nd and 98th percentile."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 3.9), layout="constrained")
         row: Any = np.atleast_1d(figure.subplots(1, len(images)))
         for axes, (title, grey) in zip(row, images.items(), strict=True):
@@ -104,4 +137,4 @@ def beside(images: Mapping[str, FloatArray], captions: Sequence[str] = ()) -> by
             axes.set_title(title)
             axes.set_xticks([])
             axes.set_yticks([])
-        return _png(figure)
+        return png(figure)

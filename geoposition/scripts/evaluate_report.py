@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from geoposition.arrays import FloatArray
 from geoposition.calib_fields.evaluate import Evaluation
-from geoposition.calib_fields.geometry import OrthoImage
-from geoposition.calib_fields.smooth import ImageCorrection
-from geoposition.scripts import evaluate_figures, figures
+from geoposition.calib_fields.intervals import Estimate
+from geoposition.scripts.evaluate_sections import REMOVED, scene_blocks
 from geoposition.scripts.report import (
     Block,
-    Image,
     KeyFigure,
     Note,
     Report,
@@ -25,17 +20,10 @@ from geoposition.scripts.report import (
     number,
     provenance,
 )
+from geoposition.scripts.scene_coverage import coverage
 
 if TYPE_CHECKING:
     from geoposition.scripts.evaluate_run import SceneResult
-
-_REMOVED: Final = {
-    "shift": "a constant shift",
-    "affine": "an affine map",
-    "attitude": "a constant attitude error",
-}
-_THUMBNAIL_PX: Final = 320
-_MOST_ARROWS: Final = 400
 
 
 def build_report(results: Sequence[SceneResult], inputs: Mapping[str, str]) -> Report:
@@ -45,7 +33,7 @@ def build_report(results: Sequence[SceneResult], inputs: Mapping[str, str]) -> R
     names = [str(result.facts.get("name", k + 1)) for k, result in enumerate(results)]
     sections = [Section("Accuracy", _tables(results, names))]
     for name, result in zip(names, results, strict=True):
-        sections.append(Section(name if several else "The scene", _scene(result)))
+        sections.append(Section(name if several else "The scene", scene_blocks(result)))
     sections.append(Section("How to read the numbers", _method(first)))
     facts: dict[str, object] = {f"input {Path(name).name}": sums for name, sums in inputs.items()}
     facts["options"] = "; ".join(
@@ -56,7 +44,7 @@ def build_report(results: Sequence[SceneResult], inputs: Mapping[str, str]) -> R
         sizes = [result.evaluation.estimates["relative_px"].value for result in results]
         summary = (
             f"{len(results)} images matched with reference orthophotos. Relative accuracy after "
-            f"removing {_REMOVED[first.options.relative]}: {number(min(sizes))} to "
+            f"removing {REMOVED[first.options.relative]}: {number(min(sizes))} to "
             f"{number(max(sizes))} px."
         )
     else:
@@ -69,10 +57,11 @@ def _summary(found: Evaluation) -> str:
     e, n = found.estimates["bias_e_m"], found.estimates["bias_n_m"]
     relative = found.estimates["relative_px"]
     return (
-        f"{found.points} of {len(found.matches.cause)} patches match the reference orthophoto. "
+        f"{found.points} of {len(found.matches.cause)} patches match the reference orthophoto, "
+        f"in {number(100.0 * coverage(found.matches), 0)} % of the overlap. "
         f"The image comes onto it by a shift of {number(e.value, 2, sign=True)} m east and "
         f"{number(n.value, 2, sign=True)} m north. Within itself, after removing "
-        f"{_REMOVED[found.options.relative]}, it is right to {number(relative.value)} px "
+        f"{REMOVED[found.options.relative]}, it is right to {number(relative.value)} px "
         f"({number(relative.interval[0])} to {number(relative.interval[1])} px with a "
         f"confidence of 95 %)."
     )
@@ -95,8 +84,7 @@ def _keys(found: Evaluation) -> tuple[KeyFigure, ...]:
     )
 
 
-def _cell(found: Evaluation, name: str, digits: int = 3) -> str:
-    estimate = found.estimates[name]
+def _interval(estimate: Estimate, digits: int) -> str:
     low, high = (number(value, digits) for value in estimate.interval)
     return f"{number(estimate.value, digits)} ({low} … {high})"
 
@@ -104,145 +92,78 @@ def _cell(found: Evaluation, name: str, digits: int = 3) -> str:
 def _tables(results: Sequence[SceneResult], names: Sequence[str]) -> list[Block]:
     relative, absolute, lost = [], [], []
     for name, result in zip(names, results, strict=True):
-        found = result.evaluation
-        facts = result.facts
+        found, facts = result.evaluation, result.facts
         side = facts.get("side_swing_deg")
-        relative.append(
-            (
-                str(facts.get("date", result.product.details.get("time", name))),
-                number(float(side), 3) if isinstance(side, int | float) else "–",
-                str(facts.get("region", "–")),
-                *(_cell(found, key) for key in ("relative_px", "v_x", "v_y", "m_x", "m_y")),
-            )
+        heads = (
+            str(facts.get("date", result.product.details.get("time", name))),
+            number(float(side), 3) if isinstance(side, int | float) else "–",
+            str(facts.get("region", "–")),
         )
-        absolute.append(
-            (
-                name,
-                str(found.points),
-                *(
-                    _cell(found, key, 2)
-                    for key in ("bias_e_m", "bias_n_m", "rmse_e_m", "rmse_n_m", "ce90_m")
-                ),
-            )
-        )
-        lost.append((name, *(str(count) for count in found.matches.counts.values())))
-    removed = _REMOVED[results[0].evaluation.options.relative]
+        relative += _rows(found, heads, ("relative_px", "v_x", "v_y", "m_x", "m_y"), 3)
+        metres = ("bias_e_m", "bias_n_m", "rmse_e_m", "rmse_n_m", "ce90_m")
+        absolute += _rows(found, (name, str(found.points)), metres, 2)
+        share = f"{number(100.0 * coverage(found.matches), 0)} %"
+        lost.append((name, *(str(count) for count in found.matches.counts.values()), share))
+    kinds = {result.evaluation.options.relative for result in results}
+    removed = REMOVED[kinds.pop()] if len(kinds) == 1 else "what each scene's options name"
     causes = [cause.replace("_", " ") for cause in results[0].evaluation.matches.counts]
     return [
         Table(
-            f"Relative geometric accuracy, pixels, after removing {removed}, with intervals of "
-            "95 %. Average of the errors over points held out of the fit (V), root mean square "
-            "(M), along the track (x) and across it (y); the relative accuracy is hypot(Mx, My).",
-            ("time", "side swing, °", "region", "relative", "V x", "V y", "M x", "M y"),
+            f"Relative geometric accuracy, pixels, after removing {removed}; below each number its "
+            "interval of 95 %. Average of the errors over points held out of the fit (V), root "
+            "mean square (M), along the track (x) and across it (y); the relative accuracy is "
+            "hypot(Mx, My).",
+            ("time", "swing, °", "region", "relative", "V x", "V y", "M x", "M y"),
             relative,
+            strong=tuple(range(0, len(relative), 2)),
         ),
         Table(
-            "Absolute accuracy, metres, with intervals of 95 %. The bias is what brings the image "
-            "onto the reference.",
+            "Absolute accuracy, metres; below each number its interval of 95 %. The bias is what "
+            "brings the image onto the reference.",
             ("scene", "points", "bias E", "bias N", "RMSE E", "RMSE N", "CE90"),
             absolute,
+            strong=tuple(range(0, len(absolute), 2)),
         ),
-        Table("What became of the patches.", ("scene", *causes), lost),
+        Table(
+            "What became of the patches; the coverage is the share of the overlap, in an 8 × 8 "
+            "division, that holds a match.",
+            ("scene", *causes, "coverage"),
+            lost,
+        ),
+        *_heights(results, names),
     ]
 
 
-def _scene(result: SceneResult) -> list[Block]:
-    found, matches = result.evaluation, result.evaluation.matches
-    used = matches.used & np.isfinite(matches.error_px).all(axis=1)
-    place, residual = matches.model_px[used], found.residual_px
-    few = np.linspace(0, len(place) - 1, min(len(place), _MOST_ARROWS)).astype(np.int64)
-    shift = matches.shift_en_m[used]
-    panels = [
-        figures.VectorPanel(
-            "Error in the image", place[few][:, ::-1], matches.error_px[used][few][:, ::-1]
-        ),
-        figures.VectorPanel(
-            f"After removing {_REMOVED[found.options.relative]}",
-            place[few][:, ::-1],
-            residual[few][:, ::-1],
-        ),
-    ]
-    blocks: list[Block] = [
-        Image(
-            evaluate_figures.beside(thumbnails(result)),
-            "The reference orthophoto and the image brought to it through its model and the DEM.",
-            "Two grey images of the same ground.",
-        ),
-        Image(
-            evaluate_figures.distribution(matches, result.product.model.shape),
-            "Where the patches lie in the image, and what became of them.",
-            "Map of points over the image, marked by cause.",
-        ),
-        Image(
-            figures.vectors(panels, unit="px", place_labels=("sample", "line"), down=True),
-            "Observed less modelled place in the image, as vectors.",
-            "Two vector fields over the image.",
-        ),
-        Image(
-            figures.histograms(
-                {"x, along track": residual[:, 0], "y, across track": residual[:, 1]},
-                unit="residual, px",
-            ),
-            "Distribution of the residuals.",
-            "Two histograms.",
-        ),
-        Image(
-            figures.histograms(
-                {"east": shift[:, 0], "north": shift[:, 1]}, unit="reference less located, m"
-            ),
-            "Distribution of the shifts on the ground.",
-            "Two histograms.",
-        ),
-        Image(
-            evaluate_figures.profiles(found.along, found.across),
-            "Residuals averaged by line (above) and by sample (below); shaded: two standard "
-            "deviations of the mean.",
-            "Two line plots, each of two series with bands.",
-        ),
-    ]
-    if len(found.spectrum.frequency):
-        blocks.append(
-            Image(
-                evaluate_figures.spectrum(found.spectrum),
-                "Amplitude of vibrations left in the residuals, corrected for what the patches "
-                "average away.",
-                "Line plot of two spectra.",
-            )
-        )
-    blocks += _vibrations(found) + _ccds(found)
-    return blocks
+def _rows(
+    found: Evaluation, heads: tuple[str, ...], keys: Sequence[str], digits: int
+) -> list[tuple[str, ...]]:
+    """Two rows of a table: numbers, and below them their intervals."""
+    estimates = [found.estimates[key] for key in keys]
+    values = (number(estimate.value, digits) for estimate in estimates)
+    # an interval tells its third decimal only where there is nothing before it
+    narrow = max(high - low for low, high in (e.interval for e in estimates)) < 0.1
+    fewer = digits if narrow else min(digits, 2)
+    low_high = (
+        " … ".join(number(value, fewer) for value in estimate.interval) for estimate in estimates
+    )
+    blank = ("",) * (len(heads) - 1)
+    return [(*heads, *values), (*blank, "95 %", *low_high)]
 
 
-def _vibrations(found: Evaluation) -> list[Block]:
-    if not found.spectrum.lines:
-        return [Text("No vibration stands out of the residuals.")]
-    rows = [
-        (
-            f"{line.frequency:.4g} ± {2.0 * line.sigma_frequency:.2g}",
-            *(number(amplitude, 3) for amplitude in line.amplitude_px),
-            number(2.0 * line.sigma_amplitude_px, 3),
-        )
-        for line in found.spectrum.lines
-    ]
-    header = (f"frequency, {found.spectrum.unit}", "along, px", "across, px", "±, px")
-    return [Table("Vibrations left in the residuals, with two standard deviations.", header, rows)]
-
-
-def _ccds(found: Evaluation) -> list[Block]:
-    if len(found.ccds) < 2:
+def _heights(results: Sequence[SceneResult], names: Sequence[str]) -> list[Block]:
+    rows = []
+    for name, result in zip(names, results, strict=True):
+        if result.heights is not None:
+            e = result.heights.estimates
+            cells = (_interval(e[key], 2) for key in ("bias_u_m", "rmse_u_m", "le90_m"))
+            rows.append((name, str(result.heights.points), *cells))
+    if not rows:
         return []
-    rows = [
-        (
-            str(ccd.number),
-            str(ccd.points),
-            *(
-                f"{number(mean, 3)} ± {number(2.0 * sigma, 3)}"
-                for mean, sigma in zip(ccd.mean_px, ccd.sigma_px, strict=True)
-            ),
-        )
-        for ccd in found.ccds
-    ]
-    return [Table("Mean residuals by CCD, pixels.", ("CCD", "points", "along", "across"), rows)]
+    caption = (
+        "Heights of intersected points against the DEM, metres, with intervals of 95 %. The bias "
+        "is what brings them onto it."
+    )
+    return [Table(caption, ("scene", "points", "bias U", "RMSE U", "LE90"), rows)]
 
 
 def _method(found: Evaluation) -> list[Block]:
@@ -279,20 +200,3 @@ def _options(result: SceneResult) -> str:
         f"{result.evaluation.matches.spacing_px} px, search {s.search_m:g} m, least correlation "
         f"{s.least_correlation:g}, {'; '.join(result.terrain_facts)}"
     )
-
-
-def thumbnails(result: SceneResult) -> dict[str, FloatArray]:
-    """Read the orthophoto, and the image brought to it, coarsely."""
-    from geoposition.calib_fields.overlap import find_overlap
-    from geoposition.terrain import RasterTerrain
-
-    model, dom = result.product.model, result.dom
-    terrain = RasterTerrain(result.settings.dem, result.settings.geoid)
-    overlap = find_overlap(model, terrain, dom, result.settings.search_m)
-    times = max(1, -(-max(overlap.shape) // _THUMBNAIL_PX))
-    lattice = dom.coarser(overlap.factor * times)
-    top, left, bottom, right = (n // times for n in overlap.bounds)
-    grid = lattice.window(top, left, max(bottom - top, 2), max(right - left, 2))
-    image = OrthoImage(result.source, model, terrain, ImageCorrection.none())
-    ortho = image.on(grid, overlap.mean_sample_m, overlap.pixel_m * times)
-    return {"Reference orthophoto": dom.read(grid), "Image, brought to it": ortho.grey}

@@ -2,71 +2,32 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
+from geoposition.arrays import FloatArray
+from geoposition.calib_fields.dom import Dom
 from geoposition.calib_fields.evaluate import Evaluation, EvaluationOptions, evaluate
-from geoposition.calib_fields.field import load_field
-from geoposition.calib_fields.geometry import Dom
-from geoposition.calib_fields.match import Cause, DomMatches, DomMatchOptions, match_dom
+from geoposition.calib_fields.heights import HeightAccuracy
+from geoposition.calib_fields.match import Cause, DomMatches
 from geoposition.calib_fields.relative import RELATIVES
-from geoposition.errors import ArgumentError, MissingFileError, ProductError
+from geoposition.errors import ArgumentError
 from geoposition.matching import ImageSource
 from geoposition.product import Product
-from geoposition.scripts.product_images import image_of
+from geoposition.scripts.checksums import checksum
+from geoposition.scripts.evaluate_heights import height_accuracy
+from geoposition.scripts.evaluate_settings import ListedScene, Settings, scenes_of
+from geoposition.scripts.known_ground import matched_scene
 from geoposition.scripts.results import Progress, plain
+from geoposition.scripts.scene_coverage import coverage
 from geoposition.scripts.tables import whole_file, write_points
-from geoposition.sensors.readers import open_product
-from geoposition.terrain import RasterTerrain
 
-_HASHED_BYTES: Final = 64 * 2**20
-"""Of larger files the checksum covers the first so many bytes, and says so."""
-_SCENE_FACTS: Final = ("name", "date", "region", "side_swing_deg")
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What a scene is evaluated with; `None` and empty are left to the run."""
-
-    dom: tuple[Path, ...] = ()
-    dem: tuple[Path, ...] = ()
-    geoid: Path | None = None
-    field: Path | None = None
-    image: Path | None = None
-    relative: str = "shift"
-    reference_sigma_m: float | None = None
-    search_m: float = 100.0
-    window_px: int = 64
-    spacing_px: int | None = None
-    least_correlation: float = 0.4
-    line_period_s: float | None = None
-    dom_band: int | None = None
-
-    def resolved(self) -> Settings:
-        """Return it with what its field says put in where nothing else is given."""
-        if self.field is None:
-            if not self.dom or not self.dem:
-                raise ArgumentError("evaluate: --dom and --dem expected, or --field")
-            return self
-        found = load_field(self.field)
-        dom, dem = self.dom or found.dom, self.dem or found.dem
-        if not dom or not dem:
-            raise ProductError(self.field, "", "files of a dom and of a dem expected")
-        sigma = self.reference_sigma_m
-        return replace(
-            self,
-            dom=dom,
-            dem=dem,
-            geoid=self.geoid or (None if self.dem else found.geoid),
-            reference_sigma_m=found.dom_sigma_m if sigma is None else sigma,
-        )
+__all__ = ["SceneResult", "Settings", "coverage", "evaluate_scene", "run", "write_results"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,16 +41,53 @@ class SceneResult:
     settings: Settings
     terrain_facts: tuple[str, ...]
     evaluation: Evaluation
+    inputs: tuple[Path, ...] = ()
+    heights: HeightAccuracy | None = None
 
 
 def run(path: Path, given: Settings, output: Path, progress: Progress) -> dict[str, object]:
     """Evaluate the product or the list at `path`, write into `output`; facts fit for JSON."""
+    return write_results(
+        [evaluate_scene(scene, progress) for scene in scenes_of(path, given)], output
+    )
+
+
+def evaluate_scene(scene: ListedScene, progress: Progress) -> SceneResult:
+    """Match and evaluate one scene."""
+    settings = scene.settings.resolved()
+    if settings.relative not in RELATIVES:
+        raise ArgumentError(
+            f"--relative: one of {', '.join(RELATIVES)} expected, got {settings.relative!r}"
+        )
+    options = EvaluationOptions(
+        relative=settings.relative,  # type: ignore[arg-type]
+        reference_sigma_m=settings.reference_sigma_m or 0.0,
+        line_period_s=settings.line_period_s,
+    )
+    found = matched_scene(scene.product, settings, progress)
+    heights = None
+    if settings.points is not None:
+        heights = height_accuracy(settings.points, found.terrain, settings.height_sigma_m or 0.0)
+    return SceneResult(
+        scene.facts,
+        found.product,
+        found.source,
+        found.dom,
+        settings,
+        found.terrain.provenance,
+        evaluate(found.matches, found.product.model, options),
+        tuple(found.inputs),
+        heights,
+    )
+
+
+def write_results(results: Sequence[SceneResult], output: Path) -> dict[str, object]:
+    """Write evaluation.json, report.html and the matches into `output`; facts fit for JSON."""
     from geoposition.scripts.evaluate_report import build_report
     from geoposition.scripts.report import render
 
-    scenes = _scenes(path, given)
-    results = [_one(facts, product, own, progress) for facts, product, own in scenes]
-    inputs = {str(name): _checksum(name) for name in _inputs(results)}
+    paths = dict.fromkeys(path for result in results for path in result.inputs)
+    inputs = {str(path): checksum(path) for path in paths}
     summaries = [_summary(result) for result in results]
     summary: dict[str, object] = (
         summaries[0] if len(summaries) == 1 else {"scenes": summaries}
@@ -99,7 +97,9 @@ def run(path: Path, given: Settings, output: Path, progress: Progress) -> dict[s
     names = []
     for k, result in enumerate(results):
         name = "matches.gpkg" if len(results) == 1 else f"matches_{k + 1:02d}.gpkg"
-        write_points(output / name, _columns(result.evaluation))
+        write_points(
+            output / name, columns_of(result.evaluation.matches, result.evaluation.residual_px)
+        )
         names.append(name)
     summary["outputs"] = [str(output / name) for name in ("evaluation.json", "report.html", *names)]
     text = json.dumps(plain(summary), ensure_ascii=False, allow_nan=False, indent=1)
@@ -109,93 +109,12 @@ def run(path: Path, given: Settings, output: Path, progress: Progress) -> dict[s
     return summary
 
 
-def _scenes(path: Path, given: Settings) -> list[tuple[dict[str, object], Path, Settings]]:
-    """Facts, product and settings of each scene of a list; of a product, itself."""
-    if path.suffix.lower() == ".toml" and path.is_file():
-        try:
-            root = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ProductError(path, "", f"TOML expected: {error}") from None
-        if "scene" in root:
-            return _listed(path, root, given)
-    return [({"name": path.name}, path, given)]
-
-
-def _listed(
-    path: Path, root: Mapping[str, Any], given: Settings
-) -> list[tuple[dict[str, object], Path, Settings]]:
-    shared, listed = root.get("defaults", {}), root["scene"]
-    if not isinstance(shared, dict) or not isinstance(listed, list) or not listed:
-        raise ProductError(path, "scene", "[[scene]] tables and a table [defaults] expected")
-    scenes = []
-    for k, scene in enumerate(listed):
-        place = f"scene {k + 1}"
-        if not isinstance(scene, dict) or not isinstance(scene.get("product"), str):
-            raise ProductError(path, place, "a table with a product expected")
-        merged = shared | scene
-        facts = {name: merged.pop(name) for name in _SCENE_FACTS if name in merged}
-        product = path.parent / merged.pop("product")
-        facts.setdefault("name", product.name)
-        scenes.append((facts, product, _settings(path, place, merged, given)))
-    return scenes
-
-
-def _settings(path: Path, place: str, values: Mapping[str, Any], given: Settings) -> Settings:
-    known = {field.name for field in fields(Settings)}
-    changed: dict[str, Any] = {}
-    for name, value in values.items():
-        if name not in known:
-            raise ProductError(path, f"{place}: {name}", "no such option")
-        if name in ("dom", "dem"):
-            several = [value] if isinstance(value, str) else value
-            if not isinstance(several, list) or not all(isinstance(s, str) for s in several):
-                raise ProductError(path, f"{place}: {name}", "a file name, or a list, expected")
-            changed[name] = tuple(path.parent / item for item in several)
-        elif name in ("geoid", "field", "image"):
-            if not isinstance(value, str):
-                raise ProductError(path, f"{place}: {name}", "a file name expected")
-            changed[name] = path.parent / value
-        else:
-            wanted = str if name == "relative" else (int, float)
-            if isinstance(value, bool) or not isinstance(value, wanted):
-                raise ProductError(path, f"{place}: {name}", "another type of value expected")
-            changed[name] = value
-    return replace(given, **changed)
-
-
-def _one(
-    facts: Mapping[str, object], path: Path, settings: Settings, progress: Progress
-) -> SceneResult:
-    settings = settings.resolved()
-    if settings.relative not in RELATIVES:
-        raise ArgumentError(
-            f"--relative: one of {', '.join(RELATIVES)} expected, got {settings.relative!r}"
-        )
-    matching = DomMatchOptions(
-        window_px=settings.window_px,
-        spacing_px=settings.spacing_px,
-        search_m=settings.search_m,
-        least_correlation=settings.least_correlation,
-    )
-    options = EvaluationOptions(
-        relative=settings.relative,  # type: ignore[arg-type]
-        reference_sigma_m=settings.reference_sigma_m or 0.0,
-        line_period_s=settings.line_period_s,
-    )
-    product = open_product(path)
-    source = image_of(product, settings.image)
-    dom = Dom.open(settings.dom, settings.dom_band)
-    terrain = RasterTerrain(settings.dem, settings.geoid)
-    matches = match_dom(source, product.model, dom, terrain, matching, progress)
-    evaluation = evaluate(matches, product.model, options)
-    return SceneResult(facts, product, source, dom, settings, terrain.provenance, evaluation)
-
-
 def _summary(result: SceneResult) -> dict[str, object]:
     found = result.evaluation
     return (
         dict(result.facts)
         | found.as_dict()
+        | ({} if result.heights is None else result.heights.as_dict())
         | {
             "product": str(result.product.path),
             "image": str(result.source.path),
@@ -210,24 +129,14 @@ def _summary(result: SceneResult) -> dict[str, object]:
     )
 
 
-def coverage(matches: DomMatches) -> float:
-    """Share of the tiles of an 8 × 8 division of the overlap that hold a match."""
-    known = np.isfinite(matches.model_px).all(axis=1)
-    place = matches.model_px[known]
-    low, size = place.min(axis=0), np.maximum(np.ptp(place, axis=0), 1.0)
-    tile = np.minimum(((place - low) / size * 8.0).astype(np.int64), 7) @ np.array([8, 1])
-    return len(np.unique(tile[matches.used[known]])) / len(np.unique(tile))
-
-
-def _columns(evaluation: Evaluation) -> dict[str, Any]:
-    """Every patch as a row, those that were lost with their cause."""
-    m = evaluation.matches
+def columns_of(m: DomMatches, residual_px: FloatArray) -> dict[str, Any]:
+    """Every patch as a row, those that were lost with their cause; residuals of used ones."""
     names = np.array([cause.name.lower() for cause in Cause])
     lon_lat = np.degrees(m.ground[:, :2])
     sigma = np.sqrt(np.diagonal(m.covariance_px2, axis1=1, axis2=2))
     sigma_m = np.sqrt(np.diagonal(m.covariance_m2, axis1=1, axis2=2))
     residual = np.full((len(m.cause), 2), np.nan)
-    residual[m.used & np.isfinite(m.error_px).all(axis=1)] = evaluation.residual_px
+    residual[m.used & np.isfinite(m.error_px).all(axis=1)] = residual_px
     return {
         "id": np.arange(len(m.cause)).astype(str),
         "lon": lon_lat[:, 0],
@@ -250,27 +159,3 @@ def _columns(evaluation: Evaluation) -> dict[str, Any]:
         "correlation": m.correlation,
         "cause": names[m.cause],
     }
-
-
-def _inputs(results: Sequence[SceneResult]) -> list[Path]:
-    paths: dict[Path, None] = {}
-    for result in results:
-        settings = result.settings
-        own = [result.product.path, result.source.path, *result.dom.paths, *settings.dem]
-        for path in (*own, settings.geoid, settings.field):
-            if path is not None:
-                paths[path] = None
-    return list(paths)
-
-
-def _checksum(path: Path) -> str:
-    if not path.is_file():
-        return "a folder, or not a plain file"
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HASHED_BYTES)
-    except OSError:
-        raise MissingFileError(path, "", "readable file expected") from None
-    size = path.stat().st_size
-    note = "" if size <= _HASHED_BYTES else f" of the first {_HASHED_BYTES} of {size} bytes"
-    return f"sha256 {hashlib.sha256(head).hexdigest()}{note}"

@@ -28,7 +28,7 @@ _BELOW: Final[dict[str, Any]] = {
     "aspect": 25,
     "shrink": 0.85,
 }
-_STYLE: Final[dict[Any, Any]] = {
+STYLE: Final[dict[Any, Any]] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 8.5,
@@ -47,6 +47,7 @@ _STYLE: Final[dict[Any, Any]] = {
     "legend.frameon": False,
     "figure.facecolor": "white",
 }
+"""Matplotlib's settings for every figure: `with mpl.rc_context(STYLE)`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,7 @@ def footprints(
     points_label: str,
 ) -> bytes:
     """Map of shaded heights, image outlines (n, 2) in degrees, and points (m, 2)."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.4, 5.2), layout="constrained")
         axes = figure.add_subplot()
         colours = _shaded(axes, terrain)
@@ -94,14 +95,14 @@ def footprints(
         bar = figure.colorbar(colours, ax=axes, shrink=0.8, pad=0.02)
         bar.set_label("ellipsoidal height, m")
         figure.legend(loc="outside lower center", ncols=4)
-        return _png(figure)
+        return png(figure)
 
 
 def height_and_difference(
     terrain: HeightMap, differences: Mapping[str, HeightMap], unit_note: str
 ) -> bytes:
     """Beside each other: a height map, and maps of signed differences, each with its scale."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         count = 1 + len(differences)
         figure = Figure(figsize=(3.3 * count, 3.7), layout="constrained")
         row = figure.subplots(1, count, sharey=True)
@@ -125,7 +126,7 @@ def height_and_difference(
         for k, axes in enumerate(row):
             _degrees(axes, terrain, label_latitude=k == 0)
         _scale_bar(row[0], terrain, 10.0)
-        return _png(figure)
+        return png(figure)
 
 
 def vectors(
@@ -141,7 +142,7 @@ def vectors(
     The longest tenth of the vectors spans about a ninth of the panel. `down` puts y downwards,
     as image rows go. Colours have one scale for all panels.
     """
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         width = 3.1 * len(panels) + (0.7 if colour_label else 0.0)
         figure = Figure(figsize=(width, 3.6), layout="constrained")
         row = np.atleast_1d(figure.subplots(1, len(panels)))
@@ -176,7 +177,7 @@ def vectors(
         if dots is not None:
             bar = figure.colorbar(dots, ax=list(row), shrink=0.8, pad=0.015, extend="both")
             bar.set_label(colour_label)
-        return _png(figure)
+        return png(figure)
 
 
 def series(
@@ -188,7 +189,7 @@ def series(
     intervals: Mapping[str, tuple[float, float]],
 ) -> bytes:
     """Time series above each other on one scale, with named intervals shaded."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 0.6 + 1.15 * len(values)), layout="constrained")
         column = np.atleast_1d(figure.subplots(len(values), 1, sharex=True, sharey=True))
         for k, (axes, (name, line)) in enumerate(zip(column, values.items(), strict=True)):
@@ -204,14 +205,14 @@ def series(
             axes.set_ylabel(f"{name}, {unit}")
             axes.margins(x=0.0)
         column[-1].set_xlabel(time_label)
-        return _png(figure)
+        return png(figure)
 
 
 def histograms(
     values: Mapping[str, FloatArray], *, unit: str, limit: float | None = None, bins: int = 81
 ) -> bytes:
     """Distributions on one axis, each of area 1; what lies beyond `limit` is left out."""
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 2.6), layout="constrained")
         axes = figure.add_subplot()
         all_values = np.concatenate([v[np.isfinite(v)] for v in values.values()])
@@ -227,7 +228,7 @@ def histograms(
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
         axes.legend()
-        return _png(figure)
+        return png(figure)
 
 
 def _shaded(axes: Any, terrain: HeightMap) -> Any:
@@ -295,8 +296,9 @@ def _round_length(size: float) -> float:
     return float(power * steps[np.argmin(np.abs(np.log(steps * power / size)))])
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
+    """Return `figure` as a PNG file; the same figure has the same bytes."""
     out = BytesIO()
-    # Without the software's name and date the same figure has the same bytes.
+    # the software's name and date would change them
     figure.savefig(out, format="png", dpi=_DPI, metadata={"Software": None})
     return out.getvalue()

@@ -8,14 +8,13 @@ from typing import Final
 import numpy as np
 
 from geoposition.arrays import FloatArray
-from geoposition.reimage.sinusoids import Sinusoid, amplitude_spectrum, strongest
+from geoposition.reimage.sinusoids import Sinusoid, amplitude_spectrum
 from geoposition.reimage.steady import SteadyAttitude
 from geoposition.reimage.strips import Part
 from geoposition.rpc.fit_build import RpcFit
+from geoposition.scripts.reimage_jitter import line_facts
 from geoposition.terrain import Terrain
 
-_MOST_LINES: Final = 6
-_LEAST_ROWS: Final = 64
 _ARCSEC_RAD: Final = float(np.pi / 648000.0)
 _AXES: Final = ("roll", "pitch", "yaw")
 
@@ -36,14 +35,6 @@ def misfit_facts(fit: RpcFit) -> dict[str, object]:
     return {"row": fit.check.row.as_dict(), "col": fit.check.col.as_dict()}
 
 
-def strongest_lines(times: FloatArray, values: FloatArray) -> tuple[Sinusoid, ...]:
-    """Find the strongest lines of a displacement; none where the image is too short."""
-    if min(len(times), np.isfinite(values).sum()) < _LEAST_ROWS:
-        return ()
-    order = slice(None, None, 1 if times[-1] > times[0] else -1)
-    return strongest(times[order], values[order], _MOST_LINES)
-
-
 def removed_facts(removed: SteadyAttitude) -> dict[str, object]:
     """Give RMS, peak and strongest line of the removed rotation about each axis."""
     arcsec = removed.removed_rad / _ARCSEC_RAD
@@ -60,6 +51,19 @@ def removed_facts(removed: SteadyAttitude) -> dict[str, object]:
     return result
 
 
+def moved_facts(moved: FloatArray) -> dict[str, object]:
+    """Give RMS about the mean and peak of what the attitude moves the rows (n, 2), pixels."""
+    result: dict[str, object] = {}
+    for k, name in enumerate(("row", "col")):
+        known = moved[np.isfinite(moved[:, k]), k]
+        away = known - known.mean() if known.size else np.full(1, np.nan)
+        result[name] = {
+            "rms": float(np.sqrt(np.mean(away**2))),
+            "peak": float(np.abs(away).max()),
+        }
+    return result
+
+
 def displacement_facts(
     moved: FloatArray, lines: tuple[tuple[Sinusoid, ...], tuple[Sinusoid, ...]]
 ) -> dict[str, object]:
@@ -72,16 +76,6 @@ def displacement_facts(
             "mean": float(part.mean()),
             "rms": float(np.sqrt(np.mean(away**2))),
             "max": float(np.abs(part).max()),
-            "lines": [
-                {
-                    "frequency_hz": line.frequency_hz,
-                    "amplitude_px": line.amplitude,
-                    "phase_rad": line.phase_rad,
-                    "sigma_frequency_hz": line.sigma_frequency_hz,
-                    "sigma_amplitude_px": line.sigma_amplitude,
-                    "sigma_phase_rad": line.sigma_phase_rad,
-                }
-                for line in lines[k]
-            ],
+            "lines": [line_facts(line) for line in lines[k]],
         }
     return result

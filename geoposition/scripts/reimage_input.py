@@ -15,6 +15,7 @@ from geoposition.product import Product
 from geoposition.pushbroom import PushbroomModel
 from geoposition.reimage.raster_files import ImageFile
 from geoposition.reimage.virtual import cropped_model
+from geoposition.scripts.product_images import check_size
 from geoposition.sensors.readers.attitude_columns import column_map
 from geoposition.sensors.readers.attitude_tables import read_star
 from geoposition.timescale import Epoch
@@ -44,14 +45,7 @@ def jittered_model(
         )
     if attitude is not None:
         model = _with_attitude(model, attitude, cutoff_hz)
-    lines, samples = image.shape
-    end_line, end_sample = image.first_line + lines, image.first_sample + samples
-    if end_line > model.shape[0] or end_sample > model.shape[1]:
-        raise ProductError(
-            image.path, "size",
-            f"an image of {model.shape[0]} x {model.shape[1]} or a crop of it expected, this one "
-            f"ends at line {end_line - 1} and sample {end_sample - 1}",
-        )  # fmt: skip
+    check_size(model, image)
     return cropped_model(model, image.first_line, image.first_sample, image.shape)
 
 

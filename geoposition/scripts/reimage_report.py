@@ -16,7 +16,7 @@ from geoposition.arrays import FloatArray
 from geoposition.reimage.raster_files import opened_image
 from geoposition.reimage.sinusoids import amplitude_spectrum
 from geoposition.rpc.fit_build import RpcFit
-from geoposition.scripts.figures import _STYLE, COLOURS, _png
+from geoposition.scripts.figures import COLOURS, STYLE, png
 from geoposition.scripts.reimage_run import Run
 from geoposition.scripts.report import (
     Block,
@@ -51,10 +51,10 @@ def write(path: Path, run: Run) -> None:
 def build(run: Run) -> Report:
     """Put the page's pieces together."""
     facts: Any = run.summary
-    moved = facts["displacement_px"]
+    moved, gone = facts["displacement_px"], facts["removed_px"]
     keys = [
-        KeyFigure(number(moved["row"]["rms"], 3), "px", "taken out, rows", "rms about the mean"),
-        KeyFigure(number(moved["col"]["rms"], 3), "px", "taken out, columns", "rms"),
+        KeyFigure(number(gone["row"]["rms"], 3), "px", "taken out, rows", "rms about the mean"),
+        KeyFigure(number(gone["col"]["rms"], 3), "px", "taken out, columns", "rms"),
         KeyFigure(_small(_largest(run.after)), "px", "RPC misfit", "steady, largest"),
         KeyFigure(_small(facts["mapping"]["error_px"]), "px", "interpolation", "largest, measured"),
     ]
@@ -71,6 +71,7 @@ def build(run: Run) -> Report:
         sections=[
             Section("Before and after", _pictures(run)),
             Section("Displacement along the image", _displacement(run, moved)),
+            Section("Jitter", _jitter(run)),
             Section("Attitude taken out", _removed(run)),
             Section("RPC", _rpc(run)),
             Section("How exact", _exactness(facts)),
@@ -99,7 +100,7 @@ def _pictures(run: Run) -> list[Block]:
 
 def _liveliest(run: Run) -> tuple[int, int]:
     """First row and column of the window in which displacement varies most."""
-    mean = np.nan_to_num(np.nanmean(run.displacement_px, axis=1))
+    mean = np.nan_to_num(run.moved_px)
     lines, samples = run.steady.shape
     size = min(_WINDOW, lines)
     starts = np.arange(0, lines - size + 1, max(size // 2, 1))
@@ -108,25 +109,16 @@ def _liveliest(run: Run) -> tuple[int, int]:
 
 
 def _displacement(run: Run, facts: Any) -> list[Block]:
-    mean = np.nanmean(run.displacement_px, axis=1)
-    times = run.steady.camera.timing.time_s(np.arange(len(mean), dtype=np.float64))
+    mean, times = run.moved_px, run.times_s
     rows = [
         [name, number(part["mean"], 4, sign=True), number(part["rms"], 4), number(part["max"], 4)]
         for name, part in zip(_IMAGE_AXES, (facts["row"], facts["col"]), strict=True)
     ]
-    found = [
-        [
-            name, number(line.frequency_hz, 3), number(line.sigma_frequency_hz, 3),
-            number(line.amplitude, 4), number(line.sigma_amplitude, 4),
-            number(line.phase_rad, 3, sign=True), number(line.sigma_phase_rad, 3),
-        ]
-        for name, lines in zip(_IMAGE_AXES, run.lines_px, strict=True)
-        for line in lines
-    ]  # fmt: skip
     blocks: list[Block] = [
         Table("Place in the image as taken less place in the steady one, pixels",
               ["", "mean", "rms about it", "largest"], rows),
-        Image(_profiles(np.arange(len(mean)), mean), "Mean over the columns, pixels, row by row.",
+        Image(_profiles(np.arange(len(mean)), mean),
+              "What the attitude taken out moves each row, pixels.",
               "Displacement of rows and columns along the image"),
     ]  # fmt: skip
     if len(mean) >= 64 and np.isfinite(mean).all():
@@ -136,12 +128,37 @@ def _displacement(run: Run, facts: Any) -> list[Block]:
         blocks.append(
             Image(_spectrum(frequency, amplitude, _IMAGE_AXES, "px"), caption, "Spectrum, pixels")
         )
-    if found:
-        header = ["", "Hz", "±", "amplitude, px", "±", "phase, rad", "±"]
-        blocks.append(
-            Table("Strongest lines; phase of a cosine at t = 0 of the timing", header, found)
-        )
     return blocks
+
+
+def _jitter(run: Run) -> list[Block]:
+    """Lines as the attitude, the images and a match have them, in one table."""
+    rows, groups = [], 0
+    for axis, lines in zip(_IMAGE_AXES, run.jitter.by_axis, strict=True):
+        for line in lines:
+            groups += 1
+            for name, seen in line.by_source.items():
+                if seen is None:
+                    continue
+                arcsec = seen.amplitude * run.jitter.pixel_rad / _ARCSEC_RAD
+                rows.append([
+                    f"{groups}, {axis}", name,
+                    number(seen.frequency_hz, 3), number(seen.sigma_frequency_hz, 3),
+                    number(seen.amplitude, 4), number(seen.sigma_amplitude, 4),
+                    number(arcsec, 4),
+                    number(seen.phase_rad, 3, sign=True), number(seen.sigma_phase_rad, 3),
+                ])  # fmt: skip
+    if not rows:
+        return [Text("No line stands out of the displacement.")]
+    header = ["line", "seen by", "Hz", "±", "amplitude, px", "±", "″", "phase, rad", "±"]
+    return [
+        Text(
+            "Displacement of the image as taken, a cos(2π f t + phase), t = 0 of the camera's "
+            "timing; ± is one standard deviation. Lines of one number are one line: their "
+            "frequencies lie within one and a half periods of the image."
+        ),
+        Table("Jitter as each source has it", header, rows),
+    ]
 
 
 def _removed(run: Run) -> list[Block]:
@@ -216,7 +233,7 @@ def _side_by_side(before: NDArray[Any], after: NDArray[Any]) -> bytes:
     low, high = np.nanpercentile(b, [1.0, 99.0])
     difference = a - b
     limit = max(float(np.nanpercentile(np.abs(difference), 99.0)), 1e-6)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 3.4), layout="constrained")
         row = figure.subplots(1, 3)
         for axes, title, values in zip(row[:2], ("As taken", "Steady"), (a, b), strict=True):
@@ -227,12 +244,12 @@ def _side_by_side(before: NDArray[Any], after: NDArray[Any]) -> bytes:
         for axes in row:
             axes.set_xticks([])
             axes.set_yticks([])
-        return _png(figure)
+        return png(figure)
 
 
 def _profiles(line: NDArray[Any], moved: FloatArray) -> bytes:
     pick = slice(None, None, max(len(line) // _MOST_POINTS, 1))
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 3.0), layout="constrained")
         column = figure.subplots(2, 1, sharex=True)
         for k, (axes, name) in enumerate(zip(column, _IMAGE_AXES, strict=True)):
@@ -241,13 +258,13 @@ def _profiles(line: NDArray[Any], moved: FloatArray) -> bytes:
             axes.set_ylabel(f"{name}, px")
             axes.margins(x=0.0)
         column[-1].set_xlabel("row")
-        return _png(figure)
+        return png(figure)
 
 
 def _spectrum(
     frequency: FloatArray, amplitude: FloatArray, labels: tuple[str, ...], unit: str
 ) -> bytes:
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 2.8), layout="constrained")
         axes = figure.add_subplot()
         for k, label in enumerate(labels):
@@ -258,11 +275,11 @@ def _spectrum(
         axes.set_xlabel("frequency, Hz")
         axes.set_ylabel(f"amplitude, {unit}")
         axes.legend()
-        return _png(figure)
+        return png(figure)
 
 
 def _misfits(run: Run) -> bytes:
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 3.0), layout="constrained")
         column = figure.subplots(2, 1, sharex=True)
         for k, (name, fit) in enumerate({"as taken": run.before, "steady": run.after}.items()):
@@ -277,4 +294,4 @@ def _misfits(run: Run) -> bytes:
             axes.margins(x=0.0)
         column[0].legend()
         column[-1].set_xlabel("row")
-        return _png(figure)
+        return png(figure)

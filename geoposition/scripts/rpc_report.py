@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from geoposition.rpc.fit_check import FitCheck, Misfit
-from geoposition.scripts.figures import _STYLE, COLOURS, SIGNED_MAP, _png
+from geoposition.scripts.figures import COLOURS, SIGNED_MAP, STYLE, png
 from geoposition.scripts.report import (
     Block,
     Image,
@@ -194,7 +194,7 @@ def _limit(values: Any) -> float:
 
 
 def _maps(check: FitCheck) -> bytes:
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 3.6), layout="constrained")
         both = figure.subplots(1, 2, sharey=True)
         mean = np.nanmean(check.difference_px, axis=0)
@@ -212,11 +212,11 @@ def _maps(check: FitCheck) -> bytes:
             bar.set_label("px")
         both[0].set_ylabel("image row, px")
         both[0].invert_yaxis()
-        return _png(figure)
+        return png(figure)
 
 
 def _by_height(check: FitCheck) -> bytes:
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 2.4), layout="constrained")
         axes = figure.add_subplot()
         size = np.abs(check.difference_px)
@@ -231,11 +231,11 @@ def _by_height(check: FitCheck) -> bytes:
         axes.set_xlabel("ellipsoidal height, m")
         axes.set_ylabel("px")
         figure.legend(loc="outside lower center", ncols=4)
-        return _png(figure)
+        return png(figure)
 
 
 def _profile(check: FitCheck) -> bytes:
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(6.8, 2.9), layout="constrained")
         both = figure.subplots(2, 1, sharex=True)
         for k, (axes, name) in enumerate(zip(both, ("rows", "columns"), strict=True)):
@@ -244,4 +244,4 @@ def _profile(check: FitCheck) -> bytes:
             axes.set_ylabel(f"{name}, px")
             axes.margins(x=0.0)
         both[-1].set_xlabel("image row, px")
-        return _png(figure)
+        return png(figure)

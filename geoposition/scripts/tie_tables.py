@@ -1,4 +1,4 @@
-"""Tie points and ground control as tables: id,product,row,col and id,lon,lat,height."""
+"""Tie points as tables or matches, and ground control that checks: by products' names."""
 
 from __future__ import annotations
 
@@ -11,45 +11,57 @@ import numpy as np
 from geoposition.arrays import FloatArray, IntArray
 from geoposition.errors import ArgumentError, ProductError
 from geoposition.observations import TiePoints
-from geoposition.scripts.point_tables import geodetic_of
+from geoposition.scripts.control_files import (
+    Heights,
+    geodetic_of,
+    is_match_file,
+    read_control_file,
+    read_match_file,
+)
+from geoposition.scripts.image_names import ImageNames
 from geoposition.scripts.tables import Column, read_table
 
 
 def read_ties(path: Path, products: Sequence[Path]) -> TiePoints:
-    """Read id,product,row,col: one row per image point.
+    """Read id,product,row,col: one row per image point; or matches of a pair.
 
     `product` names a product as on the command line, by its file name or stem, or by its place
     there, counted from 0.
     """
+    return read_named_ties(path, ImageNames.of_products(products))
+
+
+def read_named_ties(
+    path: Path, names: ImageNames, pair: tuple[int, int] | None = None
+) -> TiePoints:
+    """Read ties of images with these names; matches without names are those of `pair`."""
+    if is_match_file(path):
+        return TiePoints.of_pair(*read_match_file(path), products=pair or _pair_of(path, names))
     table = read_table(path, ("row", "col"), texts=("id", "product"))
     image = np.stack([table["row"], table["col"]], axis=1).astype(np.float64)
     try:
         return TiePoints(
             np.asarray(table["id"], dtype=np.str_),
-            _product_numbers(path, table["product"], products),
+            names.numbers_of(path, table["product"]),
             image,
         )
     except ArgumentError as error:
         raise ProductError(path, "", str(error)) from None
 
 
-def _product_numbers(path: Path, names: Column, products: Sequence[Path]) -> IntArray:
-    numbers: dict[str, int] = {}
-    for spelled in (lambda p: p.stem, lambda p: p.name, str):
-        seen: dict[str, list[int]] = {}
-        for i, product in enumerate(products):
-            seen.setdefault(spelled(product), []).append(i)
-        numbers |= {name: where[0] for name, where in seen.items() if len(where) == 1}
-    numbers = {str(i): i for i in range(len(products))} | numbers
-    unique, inverse = np.unique(
-        np.char.strip(np.asarray(names, dtype=np.str_)), return_inverse=True
-    )
-    unknown = [name for name in unique if name not in numbers]
-    if unknown:
-        known = ", ".join(dict.fromkeys([*map(str, range(len(products))), *map(str, products)]))
-        raise ProductError(path, f"product {str(unknown[0])!r}", f"one of these expected: {known}")
-    found: IntArray = np.array([numbers[name] for name in unique], dtype=np.int64)[inverse]
-    return found
+def _pair_of(path: Path, names: ImageNames) -> tuple[int, int]:
+    """Images of a match file: those in its name, `run-LEFT__RIGHT.match`, or the only two."""
+    known = names.numbers()
+    left, mark, right = path.stem.partition("__")
+    left_names = [name for name in known if name and left.endswith(name)]
+    right_names = [name for name in known if name and right.startswith(name)]
+    if mark and left_names and right_names:
+        pair = known[max(left_names, key=len)], known[max(right_names, key=len)]
+        if pair[0] != pair[1]:
+            return pair
+    if len(names.files) == 2:
+        return 0, 1
+    raise ProductError(path, "name", "two images, or a name LEFT__RIGHT that tells them, expected")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,16 +73,11 @@ class Checks:
 
 
 def read_checks(path: Path) -> Checks:
-    """Read id,lon,lat,height; each id once, all numbers good."""
-    table = read_table(path, ("lon", "lat", "height"))
-    geodetic = geodetic_of(table)
-    bad = np.flatnonzero(~np.isfinite(geodetic).all(axis=1))
-    if len(bad):
-        raise ProductError(path, f"point {table['id'][bad[0]]}", "lon, lat, height expected")
-    ids, counts = np.unique(table["id"], return_counts=True)
-    if counts.max() > 1:
-        raise ProductError(path, f"point {ids[np.argmax(counts)]}", "each point once expected")
-    return Checks(table["id"], geodetic)
+    """Read ground points of any control file; each id once, all numbers good."""
+    ground = read_control_file(path).ground
+    if ground is None:
+        raise ProductError(path, "header", "column(s) lon, lat, height missing; they are expected")
+    return Checks(ground.ids, geodetic_of(ground, Heights()))
 
 
 def common(ids: Column, checks: Checks) -> tuple[IntArray, IntArray]:

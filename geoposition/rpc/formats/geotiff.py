@@ -129,15 +129,9 @@ def _known(error_m: float | None) -> float | None:
     return None if error_m is None or not error_m >= 0.0 else float(error_m)
 
 
-def write(model: RpcModel, path: Path) -> None:
-    """Write `model` as the RPC tag of the TIFF file `path`, at full precision.
-
-    An existing TIFF keeps its pixels and gets the tag (through a copy, so that it is whole at
-    any time); otherwise a new image of the model's shape without pixel data (sparse) holds it.
-    """
-    if path.exists() and not is_tiff(read_head(path)):
-        raise ProductError(path, "", "a TIFF file expected, to put the RPC tag into")
-    rpcs = RPC(
+def gdal_rpc(model: RpcModel) -> RPC:
+    """Return `model` as GDAL's metadata of an image has it."""
+    return RPC(
         **{key.lower(): getattr(model, field) for key, field in fields.SCALAR_FIELDS.items()},
         **{
             key.lower(): getattr(model, field).tolist()
@@ -146,6 +140,17 @@ def write(model: RpcModel, path: Path) -> None:
         err_bias=model.err_bias_m,
         err_rand=model.err_rand_m,
     )
+
+
+def write(model: RpcModel, path: Path) -> None:
+    """Write `model` as the RPC tag of the TIFF file `path`, at full precision.
+
+    An existing TIFF keeps its pixels and gets the tag (through a copy, so that it is whole at
+    any time); otherwise a new image of the model's shape without pixel data (sparse) holds it.
+    """
+    if path.exists() and not is_tiff(read_head(path)):
+        raise ProductError(path, "", "a TIFF file expected, to put the RPC tag into")
+    rpcs = gdal_rpc(model)
     with whole_file(path) as temporary, warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         try:

@@ -19,13 +19,14 @@ import typer
 from rich.console import Console
 
 from geoposition.errors import ArgumentError, GeopositionError
-from geoposition.scripts.bench import cases, fusion, report, rpc_fit, scenes
+from geoposition.scripts.bench import cases, dom_match, fusion, reimage, report, rpc_fit, scenes
+from geoposition.scripts.bench.adjustment_cases import adjustment_cases
 from geoposition.scripts.bench.machine import copy_gb_s, cores, environment, threading_layer
 from geoposition.scripts.bench.measure import CaseResult, Spread, best_rate, measure
 from geoposition.scripts.tables import check_output, whole_file
 from geoposition.sensors.readers import open_product
 
-_GROUPS = ("rigorous", "rpc", "fusion", "growth", "times")
+_GROUPS = ("rigorous", "rpc", "fusion", "dom_match", "reimage", "growth", "times")
 
 
 def bench(
@@ -97,6 +98,12 @@ def _run(
             results.append(measure(fit_case, repeats))
     if "fusion" in groups:
         results += [measure(case, repeats) for case in fusion.fusion_cases(quick)]
+    if "dom_match" in groups:
+        results += [measure(case, repeats) for case in dom_match.dom_match_cases(quick)]
+    if "adjustment" in groups:
+        results += [measure(case, min(repeats, 3)) for case in adjustment_cases(quick)]
+    if "reimage" in groups:
+        found["reimage"] = reimage.measured(1024 if quick else 8192)
     if "growth" in groups:
         found["growth"] = _growth(rigorous, quick)
     if "times" in groups:

@@ -12,17 +12,17 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
 from geoposition.adjust import Block, adjust, adjusted_models, attitude_bias
-from geoposition.adjust.linear import whitened_rows
+from geoposition.adjust.linear import Equations, whitened_rows
 from geoposition.adjust.point_sets import PointSet, groups, of_control, of_ties
 from geoposition.adjust.solve import equations_of
-from geoposition.arrays import FloatArray
+from geoposition.arrays import FloatArray, IntArray
 from geoposition.flags import Flag
 from geoposition.observations import ControlPoints, TiePoints, diagonal_covariance
 from geoposition.sensor_model import SensorModel
@@ -99,53 +99,89 @@ def ours(case: Problem) -> FloatArray:
     return done.values
 
 
-def by_scipy(case: Problem) -> FloatArray:
-    """Solve for biases and all ground points with a sparse Jacobian."""
-    equations = equations_of(case.models, case.blocks)
-    sets = [
-        of_control("control", case.models, case.control, NOISE_PX),
-        of_ties(case.models, case.ties, NOISE_PX),
-    ]
-    p = len(equations.S)
-    first = p + 3 * np.cumsum([0, *(len(points) for points in sets)])
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Residuals of a problem over biases and all ground points, x: biases in units of the prior.
 
-    def rows(x: FloatArray) -> list[tuple[PointSet, Any, FloatArray, int]]:
-        theta = equations.S @ x[:p]
-        out = []
-        for points, start in zip(sets, first, strict=False):
+    `first` are the places in x of each set's points, which are offsets in ECEF metres.
+    """
+
+    case: Problem
+    sets: tuple[PointSet, ...]
+    equations: Equations
+    first: tuple[int, ...]
+    size: int
+
+    @classmethod
+    def of(cls, case: Problem) -> Rows:
+        """Lines of sight and scales of all measurements."""
+        equations = equations_of(case.models, case.blocks)
+        sets = (
+            of_control("control", case.models, case.control, NOISE_PX),
+            of_ties(case.models, case.ties, NOISE_PX),
+        )
+        ends = len(equations.S) + 3 * np.cumsum([0, *(len(points) for points in sets)])
+        return cls(case, sets, equations, tuple(int(e) for e in ends[:-1]), int(ends[-1]))
+
+    @property
+    def unknowns(self) -> int:
+        """Number of biases."""
+        return len(self.equations.S)
+
+    def theta(self, x: FloatArray) -> FloatArray:
+        """Biases in radians."""
+        return self.equations.theta(x[: self.unknowns])
+
+    def places(self) -> list[tuple[IntArray, int]]:
+        """Points of each group, and where its set's points begin in x."""
+        return [
+            (group.points, first)
+            for points, first in zip(self.sets, self.first, strict=True)
+            for group in groups(points, len(self.case.models))
+        ]
+
+    def at(self, x: FloatArray) -> list[FloatArray]:
+        """Rows (n, r, 3 + p + 1) of each group: by the point, by the biases, the residual."""
+        theta, out = self.theta(x), []
+        for points, start in zip(self.sets, self.first, strict=True):
             offset = x[start : start + 3 * len(points)].reshape(-1, 3)
             moved = replace(points, ecef_m=points.ecef_m + offset)
-            for group in groups(points, len(case.models)):
+            for group in groups(points, len(self.case.models)):
                 part = slice(0, len(group.points))
-                work = whitened_rows(equations, moved, group, part, theta, True)
-                out.append((points, group, work, int(start)))
+                work = whitened_rows(self.equations, moved, group, part, theta, True)
+                work[:, :, 3:-1] = work[:, :, 3:-1] @ self.equations.S
+                out.append(work)
         return out
 
+
+def by_scipy(case: Problem) -> FloatArray:
+    """Solve for biases and all ground points with a sparse Jacobian."""
+    rows = Rows.of(case)
+    p, places = rows.unknowns, rows.places()
+
     def residuals(x: FloatArray) -> FloatArray:
-        return np.concatenate([x[:p], *(work[:, :, -1].ravel() for _, _, work, _ in rows(x))])
+        return np.concatenate([x[:p], *(work[:, :, -1].ravel() for work in rows.at(x))])
 
     def jacobian(x: FloatArray) -> csr_array:
         data, row, column = [np.ones(p)], [np.arange(p)], [np.arange(p)]
         at = p
-        for _, group, work, start in rows(x):
+        for work, (points, start) in zip(rows.at(x), places, strict=True):
             n, r, _ = work.shape
             lines = at + np.arange(n * r).reshape(n, r)
-            by_unknown = work[:, :, 3:-1] @ equations.S
+            by_unknown = work[:, :, 3:-1]
             row.append(np.broadcast_to(lines[:, :, None], by_unknown.shape).ravel())
             column.append(np.broadcast_to(np.arange(p), by_unknown.shape).ravel())
             data.append(by_unknown.ravel())
-            own = start + 3 * group.points[:, None, None] + np.arange(3)
+            own = start + 3 * points[:, None, None] + np.arange(3)
             row.append(np.broadcast_to(lines[:, :, None], (n, r, 3)).ravel())
             column.append(np.broadcast_to(own, (n, r, 3)).ravel())
             data.append(-work[:, :, :3].ravel())
             at += n * r
         entries = (np.concatenate(data), (np.concatenate(row), np.concatenate(column)))
-        return csr_array(entries, shape=(at, int(first[-1])))
+        return csr_array(entries, shape=(at, rows.size))
 
-    found = least_squares(
-        residuals, np.zeros(int(first[-1])), jacobian, x_scale="jac", tr_solver="lsmr"
-    )
-    return np.asarray(equations.S @ found.x[:p], dtype=np.float64)
+    found = least_squares(residuals, np.zeros(rows.size), jacobian, x_scale="jac", tr_solver="lsmr")
+    return rows.theta(found.x)
 
 
 def seconds(run: Callable[[], FloatArray], times: int) -> tuple[float, FloatArray]:

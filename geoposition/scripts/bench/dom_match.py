@@ -1,13 +1,14 @@
-"""Precision and speed of the sub-pixel matching beside OpenCV's ECC.
+# mypy: disable-error-code="import-not-found,import-untyped"
+"""Sub-pixel matching of patches beside OpenCV's: same patches, a shift that is known exactly.
 
-Textures are moved by Fourier's theorem, so that the shift is known exactly; both images get noise.
-Run `python -m geoposition.scripts.bench.dom_match`.
+Textures are moved by Fourier's theorem; both images get noise. What each is off from the true
+shift, root mean square, stands beside its speed.
 """
 
 from __future__ import annotations
 
-from time import perf_counter
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,11 +16,22 @@ from geoposition.arrays import FloatArray, IntArray
 from geoposition.calib_fields.refine import Searched, Template, refine
 from geoposition.calib_fields.synthetic_dom import synthetic_dom
 from geoposition.reimage.ortho import OrthoGrid
+from geoposition.scripts.bench.machine import installed
+from geoposition.scripts.bench.measure import Case, Contender, Missing
 
+TARGET_MPOINT_S: Final = 0.005
+"""5,000 points a second."""
 _SIDE: Final = 768
 _WINDOW: Final = 64
 _POINTS: Final = 4000
-_REPEATS: Final = 5
+_PEER_POINTS: Final = 400
+_NOISES: Final = (0.0, 4.0)
+_SAME_PX: Final = 1.0
+
+
+def dom_match_cases(quick: bool = False) -> list[Case]:
+    """Return matching of 64 × 64 patches without noise and with noise of 4 grey values."""
+    return [_case(noise, quick) for noise in _NOISES]
 
 
 def pair(noise: float, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -34,61 +46,92 @@ def pair(noise: float, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     return first, second, shift
 
 
-def ours(first: FloatArray, second: FloatArray, corners: IntArray) -> tuple[FloatArray, float]:
-    """Shifts (n, 2) and points per second, the best of several runs."""
+def _case(noise: float, quick: bool) -> Case:
+    first, second, shift = pair(noise, 1)
+    points, fewer = (60, 20) if quick else (_POINTS, _PEER_POINTS)
+    corners = np.random.default_rng(0).integers(40, _SIDE - _WINDOW - 40, (points, 2))
     template, searched = Template.of(first), Searched.of(second)
-    start = np.zeros((len(corners), 2))
-    found, best = refine(template, searched, corners, start, _WINDOW), np.inf
-    for _ in range(_REPEATS):
-        begin = perf_counter()
-        found = refine(template, searched, corners, start, _WINDOW)
-        best = min(best, perf_counter() - begin)
-    return found.shift_px, len(corners) / best
+    start = np.zeros((points, 2))
+
+    def ours() -> FloatArray:
+        return refine(template, searched, corners, start, _WINDOW).shift_px
+
+    def off(found: FloatArray) -> str:
+        return f"off by {np.sqrt(np.nanmean((found - shift) ** 2)):.4f} px rms"
+
+    def contender(name: str, run: Callable[[], FloatArray], rows: slice) -> Contender:
+        return Contender(name, rows, run, _as_found, off(run()))
+
+    some = slice(0, fewer)
+    peers: list[Contender | Missing] = [
+        _arosics(),
+        contender("OpenCV ECC, one thread", lambda: ecc(first, second, corners[some]), some),
+        contender(
+            "OpenCV phaseCorrelate", lambda: phase_correlate(first, second, corners[some]), some
+        ),
+    ]
+    return Case(
+        key=f"dom-match-{noise:g}",
+        title=f"sub-pixel matching, {_WINDOW} px, noise of {noise:g} grey values",
+        points=points,
+        unit="px",
+        tolerance=_SAME_PX,
+        ours=contender("geoposition", ours, slice(None)),
+        peers=peers,
+        target_mpoint_s=None if quick else TARGET_MPOINT_S,
+    )
 
 
-def ecc(first: FloatArray, second: FloatArray, corners: IntArray) -> tuple[FloatArray, float]:
-    """OpenCV's enhanced correlation coefficient, a translation, one core."""
+def _as_found(found: Any) -> FloatArray:
+    result: FloatArray = found
+    return result
+
+
+def _arosics() -> Missing:
+    version = installed("arosics")
+    if version is not None:
+        return Missing(f"arosics {version}", "takes no patches in memory, only georeferenced files")
+    return Missing("arosics", "not installed: it needs GDAL's own Python bindings and headers")
+
+
+def ecc(first: FloatArray, second: FloatArray, corners: IntArray) -> FloatArray:
+    """Shifts (n, 2) by OpenCV's enhanced correlation coefficient, a translation."""
     import cv2
 
+    threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 1e-5)
     out = np.full((len(corners), 2), np.nan)
-    a, b = first.astype(np.float32), second.astype(np.float32)
-    begin = perf_counter()
-    for n, (row, col) in enumerate(corners):
-        part = np.s_[row : row + _WINDOW, col : col + _WINDOW]
+    everywhere = np.full((_WINDOW, _WINDOW), 255, dtype=np.uint8)
+    for n, (a, b) in enumerate(_patches(first, second, corners, np.float32)):
         warp = np.eye(2, 3, dtype=np.float32)
         try:
-            _, found = cv2.findTransformECC(
-                np.ascontiguousarray(a[part]),
-                np.ascontiguousarray(b[part]),
-                warp,
-                cv2.MOTION_TRANSLATION,
-                stop,
-                np.full((_WINDOW, _WINDOW), 255, dtype=np.uint8),
-                1,
-            )
+            _, found = cv2.findTransformECC(a, b, warp, cv2.MOTION_TRANSLATION, stop, everywhere, 1)
         except cv2.error:
             continue
         out[n] = found[1, 2], found[0, 2]
-    return out, len(corners) / (perf_counter() - begin)
+    cv2.setNumThreads(threads)
+    return out
 
 
-def main() -> None:
-    """Print a table: noise, root mean square error along rows and columns, points per second."""
-    rng = np.random.default_rng(0)
-    corners = rng.integers(40, _SIDE - _WINDOW - 40, (_POINTS, 2))
-    print(f"{'':12}{'noise':>7}{'rms row':>10}{'rms col':>10}{'points/s':>10}")
-    for noise in (0.0, 4.0):
-        first, second, shift = pair(noise, 1)
-        for name, method, some in (("geoposition", ours, corners), ("ECC", ecc, corners[:500])):
-            try:
-                found, speed = method(first, second, some)
-            except ImportError:
-                continue
-            rms = np.sqrt(np.nanmean((found - shift) ** 2, axis=0))
-            print(f"{name:12}{noise:7.1f}{rms[0]:10.4f}{rms[1]:10.4f}{speed:10.0f}")
+def phase_correlate(first: FloatArray, second: FloatArray, corners: IntArray) -> FloatArray:
+    """Shifts (n, 2) by OpenCV's phase correlation under a Hann window."""
+    import cv2
+
+    window = cv2.createHanningWindow((_WINDOW, _WINDOW), cv2.CV_64F)
+    out = np.empty((len(corners), 2))
+    for n, (a, b) in enumerate(_patches(first, second, corners, np.float64)):
+        # copies: some releases window their inputs in place
+        (x, y), _ = cv2.phaseCorrelate(a.copy(), b.copy(), window)
+        out[n] = y, x
+    return out
 
 
-if __name__ == "__main__":
-    main()
+def _patches(
+    first: FloatArray, second: FloatArray, corners: IntArray, kind: Any
+) -> list[tuple[Any, Any]]:
+    parts = [np.s_[row : row + _WINDOW, col : col + _WINDOW] for row, col in corners]
+    return [
+        (np.ascontiguousarray(first[p], dtype=kind), np.ascontiguousarray(second[p], dtype=kind))
+        for p in parts
+    ]

@@ -21,6 +21,8 @@ def show(report: Mapping[str, Any], results: Sequence[CaseResult], console: Cons
     )
     console.print(f"memory to memory (read + written): {copies}", highlight=False)
     console.print(_table(results, max(report["copy_gb_s"].values())))
+    if report.get("reimage"):
+        console.print(_reimage(report["reimage"]))
     if report["growth"]:
         console.print(_growth(report["growth"]))
     times = Table(title="times, s", title_justify="left")
@@ -75,6 +77,18 @@ def _spread(spread: Spread | None) -> str:
 
 def _number(value: float) -> str:
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def _reimage(found: Mapping[str, Any]) -> Table:
+    size = " x ".join(f"{n:,}" for n in found["size"])
+    table = Table(title=f"re-imaging and ortho, {size}", title_justify="left")
+    for name in ("what", "found", "target"):
+        table.add_column(name)
+    for name, value in found.items():
+        if isinstance(value, float):
+            target = found["targets"].get(name)
+            table.add_row(name, _number(value), "" if target is None else _number(target))
+    return table
 
 
 def _growth(growth: Mapping[str, Mapping[str, float]]) -> Table:

@@ -28,12 +28,22 @@ def command(
     image: Annotated[
         Path | None, typer.Option(help="The image, where it is not known from the product.")
     ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="Camera file (see calibrate) in place of the product's.")
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(help="Intersected points (lon,lat,height), as intersect writes: for LE90."),
+    ] = None,
     relative: Annotated[
         str, typer.Option(help="Removed before the relative numbers: shift, affine, attitude.")
     ] = "shift",
     reference_sigma: Annotated[
         float | None,
         typer.Option(help="Standard deviation of the reference's place, per axis, m."),
+    ] = None,
+    height_sigma: Annotated[
+        float | None, typer.Option(help="Standard deviation of the DEM's datum, m.")
     ] = None,
     search: Annotated[float, typer.Option(help="How far off the model may be, m.")] = 100.0,
     window: Annotated[int, typer.Option(help="Side of a patch, pixels.")] = 64,
@@ -53,7 +63,9 @@ def command(
 
     Writes evaluation.json, report.html and matches.gpkg into the folder. The bias is what brings
     the image onto the reference (reference less located); x runs along the track, y across it.
-    Without --geoid the DEM's heights are taken as ellipsoidal. A list RUN.toml holds [[scene]]
+    Without --geoid the DEM's heights are taken as ellipsoidal, and refused where the DEM says
+    otherwise. With --points the heights of a stereo intersection are compared with the DEM: bias,
+    RMSE and LE90. A list RUN.toml holds [[scene]]
     tables with product, image, date, region, side_swing_deg and any of the options above, and a
     table [defaults] with what they share.
 
@@ -69,8 +81,11 @@ def command(
         geoid=geoid,
         field=field,
         image=image,
+        camera=camera,
+        points=points,
         relative=relative,
         reference_sigma_m=reference_sigma,
+        height_sigma_m=height_sigma,
         search_m=search,
         window_px=window,
         spacing_px=spacing,

@@ -25,7 +25,10 @@ def command(
         typer.Option(help="Image of each product in turn, where it is not known (with --match)."),
     ] = None,
     gcps: Annotated[
-        Path | None, typer.Option(help="Table id,lon,lat,height to check the points of the ties.")
+        Path | None,
+        typer.Option(
+            help="Table id,lon,lat,height (.csv .geojson .gpkg .gcp) to check the points."
+        ),
     ] = None,
     sigma: Annotated[
         float | None,

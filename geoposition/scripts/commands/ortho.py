@@ -40,7 +40,8 @@ def command(
         float | None, typer.Option(help="Value of missing pixels; the image's own, or 0.")
     ] = None,
     compress: Annotated[
-        Literal["none", "deflate", "lzw", "zstd"], typer.Option(help="Of the new image.")
+        Literal["none", "deflate", "lzw", "zstd"],
+        typer.Option(help="Without loss; none is fastest, deflate and lzw for older readers."),
     ] = "zstd",
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:

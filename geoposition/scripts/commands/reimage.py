@@ -54,8 +54,13 @@ def command(
     nodata: Annotated[
         float | None, typer.Option(help="Value of missing pixels; the image's own.")
     ] = None,
+    evaluation: Annotated[
+        Path | None,
+        typer.Option(help="evaluation.json of the image as taken, to lay its jitter beside."),
+    ] = None,
     compress: Annotated[
-        Literal["none", "deflate", "lzw", "zstd"], typer.Option(help="Of the new image.")
+        Literal["none", "deflate", "lzw", "zstd"],
+        typer.Option(help="Without loss; none is fastest, deflate and lzw for older readers."),
     ] = "zstd",
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
@@ -96,6 +101,7 @@ def command(
         bound_px=bound,
         nodata=nodata,
         compress=compress,
+        evaluation=evaluation,
     )
     opened = open_product(product)
     with progress_bar("re-imaging", json) as progress:

@@ -14,6 +14,7 @@ Quaternions have the scalar last. ::
     image = "scene.tif"                # optional: the image this is the model of
     lines = 20000
     height_range_m = [0.0, 3000.0]     # ellipsoidal heights the model is meant for
+    # camera = "camera.toml":          a camera file, in place of [mounting] and [[ccd]]
 
     [timing]
     epoch_utc = "2020-01-31T12:00:00Z"
@@ -98,19 +99,12 @@ from geoposition.frames import R_itrs_gcrs
 from geoposition.interpolation import LagrangeCurve
 from geoposition.product import Product
 from geoposition.pushbroom import PushbroomModel
-from geoposition.sensors.directions import (
-    CollinearDirections,
-    Directions,
-    PolynomialDirections,
-    SplineDirections,
-    TableDirections,
-)
-from geoposition.sensors.line_camera import Ccd, LineCamera, Mounting
-from geoposition.sensors.readers.csm_focal_plane import CubicDirections, FocalPlane
+from geoposition.sensors.line_camera import LineCamera
+from geoposition.sensors.readers.camera_file import read_camera_file
+from geoposition.sensors.readers.model_file_camera import read_ccds, read_mounting
 from geoposition.sensors.readers.model_file_curves import (
     POSITION,
     read_curve,
-    read_rotation,
     read_rotations,
 )
 from geoposition.sensors.readers.model_file_toml import TomlNode, read_toml
@@ -193,64 +187,14 @@ def _timing(node: TomlNode) -> LineTiming:
 
 
 def _camera(root: TomlNode, timing: LineTiming) -> LineCamera:
-    mounting = Mounting()
-    if root.has("mounting"):
-        node = root.child("mounting")
-        if node.has("R_body_camera_xyzw"):
-            mounting = replace(mounting, R_body_camera=read_rotation(node, "R_body_camera_xyzw"))
-        if node.has("lever_arm_body_m"):
-            mounting = replace(mounting, lever_arm_body_m=node.numbers("lever_arm_body_m", 3))
-        node.finish()
-    ccds = tuple(_ccd(node) for node in root.children("ccd"))
-    return LineCamera(root.whole("lines", 1), timing, ccds, mounting)
-
-
-def _ccd(node: TomlNode) -> Ccd:
-    samples = node.whole("samples", 1)
-    kind = node.choice("kind", "polynomial", "table", "spline", "collinear", "cubic")
-    directions: Directions
-    try:
-        if kind == "polynomial":
-            directions = PolynomialDirections(
-                node.numbers("x"),
-                node.numbers("y"),
-                node.number("offset", 0.0),
-                node.number("scale", 1.0),
-                node.flag("angles"),
-            )
-        elif kind in ("table", "spline"):
-            table = node.table("table", "sample", "x", "y", rows=2)
-            make = TableDirections if kind == "table" else SplineDirections
-            directions = make(table[:, 0], table[:, 1:])
-        elif kind == "collinear":
-            directions = CollinearDirections(
-                node.number("focal_length"),
-                _pair(node, "detector_origin"),
-                _pair(node, "pitch"),
-                node.number("detector_rotation_rad", 0.0),
-                _pair(node, "principal_point") if node.has("principal_point") else (0.0, 0.0),
-                tuple(node.numbers("radial").tolist()) if node.has("radial") else (),
-            )
-        else:
-            plane = FocalPlane(
-                read_only(node.numbers("origin", 2)),
-                read_only(node.numbers("step", 2)),
-                node.number("focal_length"),
-                _pair(node, "look_sign") if node.has("look_sign") else (1.0, 1.0),
-            )
-            if plane.focal_length == 0 or not np.any(plane.step):
-                node.refuse("focal_length", "a focal length and a step other than 0 expected")
-            x, y = node.numbers("x_cubic", 4), node.numbers("y_cubic", 4)
-            directions = CubicDirections(plane, x, y)
-    except ArgumentError as error:
-        node.refuse("table" if node.has("table") else "kind", str(error))
-    node.finish()
-    return Ccd(samples, directions)
-
-
-def _pair(node: TomlNode, key: str) -> tuple[float, float]:
-    x, y = node.numbers(key, 2)
-    return float(x), float(y)
+    lines = root.whole("lines", 1)
+    if not root.has("camera"):
+        return LineCamera(lines, timing, read_ccds(root), read_mounting(root))
+    for key in ("ccd", "mounting"):
+        if root.has(key):
+            root.refuse(key, "given by the camera file already")
+    shared = read_camera_file(root.inside("camera"))
+    return LineCamera(lines, timing, shared.ccds, shared.mounting)
 
 
 def _ephemeris(node: TomlNode) -> Ephemeris:

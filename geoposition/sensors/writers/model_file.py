@@ -14,36 +14,26 @@ from pathlib import Path
 
 import numpy as np
 
-from geoposition.arrays import FloatArray
 from geoposition.attitude import Attitude
-from geoposition.camera import Camera, LineTiming
+from geoposition.camera import LineTiming
 from geoposition.corrections import Corrections
-from geoposition.errors import ArgumentError, GeometryError
+from geoposition.errors import ArgumentError
 from geoposition.product import Product
 from geoposition.pushbroom import PushbroomModel
-from geoposition.sensors.directions import (
-    CollinearDirections,
-    PolynomialDirections,
-    SplineDirections,
-    TableDirections,
-)
-from geoposition.sensors.line_camera import LineCamera
-from geoposition.sensors.readers.csm_focal_plane import CubicDirections
 from geoposition.sensors.readers.model_file import COVARIANCE, MARK, VERSION
 from geoposition.sensors.readers.model_file_curves import POSITION
 from geoposition.sensors.timing import ConstantLineRate
 from geoposition.sensors.writers.atomic import files_whole
+from geoposition.sensors.writers.model_file_camera import ccd_sections, mounting_section
 from geoposition.sensors.writers.model_file_parts import (
-    DENSE_TOLERANCE_RAD,
     Section,
     Tables,
+    csv_text,
     curve_section,
     epoch_section,
     rotation_section,
     toml,
 )
-
-_LEAST_NODES, _MOST_NODES = 33, 2**17
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,30 +69,22 @@ def write_model_file(
         "lines": camera.shape[0],
         "height_range_m": [float(h) for h in model.height_range_m],
         "timing": dict(_timing(camera.timing, camera.shape[0], tables)),
-        "mounting": {
-            "R_body_camera_xyzw": camera.R_body_camera.as_quat().tolist(),
-            "lever_arm_body_m": camera.lever_arm_body_m.tolist(),
-        },
+        "mounting": dict(mounting_section(camera)),
     }
     text = "# Times are seconds from each section's epoch; see the model file's documentation.\n"
     text += toml(header)
-    for section in _ccds(camera, tables):
+    for section in ccd_sections(camera, tables):
         text += "\n[[ccd]]\n" + toml(section)
     attitude = _attitude(model.attitude, tables)
     ephemeris = epoch_section(model.ephemeris.epoch) | {"frame": model.ephemeris.frame}
     ephemeris |= curve_section(model.ephemeris.curve, POSITION, "ephemeris", tables)
     text += "\n" + toml({"ephemeris": dict(ephemeris), "attitude": dict(attitude)}).lstrip()
     text += "\n" + toml({"corrections": dict(_corrections(model.corrections))}).lstrip()
-    texts = {path.parent / name: _csv(*table) for name, table in tables.files.items()}
+    texts = {path.parent / name: csv_text(*table) for name, table in tables.files.items()}
     files_whole(texts | {path: text})
     error = attitude.get("tabulated_error_rad", 0.0)
     assert isinstance(error, float)
     return ModelFileReport(path, tuple(texts), error)
-
-
-def _csv(columns: tuple[str, ...], rows: FloatArray) -> str:
-    lines = [",".join(map(repr, row)) for row in rows.tolist()]
-    return "\n".join([",".join(columns), *lines]) + "\n"
 
 
 def _timing(timing: LineTiming, lines: int, tables: Tables) -> Section:
@@ -122,73 +104,6 @@ def _timing(timing: LineTiming, lines: int, tables: Tables) -> Section:
         "lines", ("line", "t_s"), ends, timing.time_s(ends) if times is None else times
     )
     return section | {"kind": "table", "table": name}
-
-
-def _ccds(camera: Camera, tables: Tables) -> list[Section]:
-    sections = []
-    for number, detector in enumerate(camera.detectors):
-        section: Section = {"samples": round(detector.last_sample - detector.first_sample) + 1}
-        known = None
-        if isinstance(camera, LineCamera):
-            known = camera.ccds[number].directions
-        if isinstance(known, PolynomialDirections):
-            section |= {
-                "kind": "polynomial",
-                "x": known.x_coefficients.tolist(),
-                "y": known.y_coefficients.tolist(),
-                "offset": float(known.offset),
-                "scale": float(known.scale),
-                "angles": bool(known.angles),
-            }
-        elif isinstance(known, CollinearDirections):
-            section |= {
-                "kind": "collinear",
-                "focal_length": float(known.focal_length),
-                "detector_origin": [float(v) for v in known.detector_origin],
-                "pitch": [float(v) for v in known.pitch],
-                "detector_rotation_rad": float(known.detector_rotation_rad),
-                "principal_point": [float(v) for v in known.principal_point],
-            }
-            if known.radial:
-                section["radial"] = [float(v) for v in known.radial]
-        elif isinstance(known, CubicDirections):
-            section |= {
-                "kind": "cubic",
-                "focal_length": float(known.plane.focal_length),
-                "origin": known.plane.origin.tolist(),
-                "step": known.plane.step.tolist(),
-                "look_sign": [float(v) for v in known.plane.look_sign],
-                "x_cubic": known.x_cubic.tolist(),
-                "y_cubic": known.y_cubic.tolist(),
-            }
-        else:
-            kind = "spline"
-            if isinstance(known, TableDirections | SplineDirections):
-                kind = "table" if isinstance(known, TableDirections) else "spline"
-                table = known
-            else:
-                table = _dense_directions(camera, number)
-            name = tables.add(f"ccd{number}", ("sample", "x", "y"), table.samples, table.table)
-            section |= {"kind": kind, "table": name}
-        sections.append(section)
-    return sections
-
-
-def _dense_directions(camera: Camera, number: int) -> SplineDirections:
-    """Spline through directions of a kind the schema has not, over the CCD and a margin."""
-    detector = camera.detectors[number]
-    margin = max(100.0, 0.05 * camera.shape[1])
-    low, high = detector.first_sample - margin, detector.last_sample + margin
-    nodes = _LEAST_NODES
-    while nodes <= _MOST_NODES:
-        samples = np.linspace(low, high, nodes)
-        spline = SplineDirections(samples, camera.tangents(number, samples))
-        check = 0.5 * (samples[1:] + samples[:-1])
-        error = np.abs(spline.tangents(check) - camera.tangents(number, check))
-        if np.max(error) <= DENSE_TOLERANCE_RAD:
-            return spline
-        nodes = 2 * nodes - 1
-    raise GeometryError(f"model file: the directions of CCD {number} are too rough to tabulate")
 
 
 def _attitude(attitude: Attitude, tables: Tables) -> Section:

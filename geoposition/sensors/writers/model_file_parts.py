@@ -49,6 +49,12 @@ class Tables:
         return name
 
 
+def csv_text(columns: tuple[str, ...], rows: FloatArray) -> str:
+    """CSV of `rows` under the header `columns`, each number to the last bit."""
+    lines = [",".join(map(repr, row)) for row in rows.tolist()]
+    return "\n".join([",".join(columns), *lines]) + "\n"
+
+
 def epoch_section(epoch: Epoch) -> Section:
     """Epoch, exact to the last bit."""
     return {"epoch_tai_s": epoch.tai_s, "epoch_fraction": epoch.fraction}

@@ -1,0 +1,86 @@
+"""An adjustment run: RUN.toml in, a folder with models, tables, figures and report out."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from tempfile import mkdtemp
+from time import perf_counter
+
+from geoposition.errors import ProductError
+from geoposition.scripts.adjust_facts import facts_of
+from geoposition.scripts.adjust_files import write_models, write_points
+from geoposition.scripts.adjust_images import open_images
+from geoposition.scripts.adjust_input import read_run
+from geoposition.scripts.adjust_plan import Layout, planned
+from geoposition.scripts.adjust_points import read_points
+from geoposition.scripts.adjust_request import RunInput
+from geoposition.scripts.adjust_solve import RunResult, solved
+from geoposition.scripts.adjust_unknowns import (
+    TIES_ALONE,
+    Priors,
+    blocks_of,
+    held_without_control,
+)
+from geoposition.scripts.results import Progress, plain
+
+
+def run(path: Path, output: Path, progress: Progress) -> dict[str, object]:
+    """Make everything in a folder beside `output`, then put it in its place; facts for JSON."""
+    if output.exists() and not output.is_dir():
+        raise ProductError(output, "", "a folder for the outputs expected, this is a file")
+    request = read_run(path)
+    begin = perf_counter()
+    images = open_images(request.images, path)
+    if request.control is None and request.plan is None:
+        images = held_without_control(images)
+    alone = request.control is None and request.heights is None and request.plan is None
+    blocks = blocks_of(images, request.unknowns, TIES_ALONE if alone else Priors())
+    layout = None
+    if request.plan is not None:
+        layout = planned(request, tuple(image.model for image in images), blocks)
+    result = None
+    if request.control is not None or request.ties is not None:
+        points = read_points(request, images, progress)
+        result = solved(request, images, blocks, points, progress)
+    summary: dict[str, object] = {} if result is None else facts_of(result)
+    if layout is not None:
+        summary["plan"] = layout.as_dict()
+    summary["seconds"] = round(perf_counter() - begin, 2)
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(mkdtemp(prefix=f".{output.name}-", dir=output.parent))
+    except OSError as error:
+        raise ProductError(output, "", f"a writable place expected ({error.strerror})") from None
+    try:
+        _fill(scratch, request, result, layout, summary)
+        output.mkdir(exist_ok=True)
+        for made in sorted(scratch.iterdir()):
+            made.replace(output / made.name)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    return summary | {"output": str(output)}
+
+
+def _fill(
+    folder: Path,
+    request: RunInput,
+    result: RunResult | None,
+    layout: Layout | None,
+    summary: dict[str, object],
+) -> None:
+    """Write all files into `folder`, and their names into `summary`."""
+    if result is not None:
+        write_points(result, folder)
+        if request.output.models:
+            models = result.adjustment.models
+            summary["models"] = write_models(result.images, models, request.output, folder)
+    if request.output.report:
+        from geoposition.scripts.adjust_report import page
+
+        text = page(request, result, layout, summary)
+        (folder / "report.html").write_text(text, encoding="utf-8")
+    summary["files"] = sorted(path.name for path in folder.iterdir()) + ["adjustment.json"]
+    text = json.dumps(plain(summary), ensure_ascii=False, allow_nan=False, indent=1)
+    (folder / "adjustment.json").write_text(text + "\n", encoding="utf-8")
