@@ -126,7 +126,6 @@ _CACHE: dict[str, Target] = {}
 
 def _run_part(data: Path | None, part: Part, keep: Path) -> Tally:
     if not _CACHE:
-        warnings.simplefilter("ignore")
         _CACHE.update((target.name, target) for target in targets(data))
     target, rng = _CACHE[part.target], random.Random(f"{part}")
     tally = Tally(part.target)
@@ -161,7 +160,7 @@ def judge(target: Target, seed: Seed, folder: Path, tally: Tally) -> None:
     for name, content in seed.files.items():
         (folder / name).write_bytes(content)
     try:
-        with _watched(), redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        with _watched(), _quiet():
             target.read(folder / seed.main)
     except GeopositionError as error:
         message = str(error)
@@ -179,6 +178,16 @@ def judge(target: Target, seed: Seed, folder: Path, tally: Tally) -> None:
 
 class _HangError(BaseException):
     """Not an Exception: no reader may swallow it."""
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    with (
+        redirect_stdout(io.StringIO()),
+        redirect_stderr(io.StringIO()),
+        warnings.catch_warnings(action="ignore"),
+    ):
+        yield
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from geoposition.calib_fields.catalog import PublishedScene
 from geoposition.calib_fields.evaluation import Evaluation
 from geoposition.scripts.experiments.jitter.cases import IFOV_RAD, PIXEL_M, Size
 from geoposition.scripts.experiments.jitter.chain import SceneResult
@@ -85,8 +86,7 @@ def scene_facts(scene: Scene, bound: Bound) -> dict[str, Any]:
             estimate = found.estimates[f"bias_{axis}_m"]
             facts[f"bias_{axis}_m_{stage}"] = estimate.value
             facts[f"bias_{axis}_m_{stage}_interval"] = list(estimate.interval)
-    facts["paper"] = {"relative_px_before": known.onboard_px, "relative_px_after":
-                      known.compensated_px}  # fmt: skip
+    facts["paper"] = _published(known)
     facts["truth"] = {
         "before": _against_truth(chain.error_before),
         "after": _against_truth(chain.error_after),
@@ -98,6 +98,19 @@ def scene_facts(scene: Scene, bound: Bound) -> dict[str, Any]:
     facts["jitter"] = _jitter(chain)
     facts["rpc_misfit_px"] = _misfits(chain)
     facts["filter"] = _filter(chain)
+    return facts
+
+
+def _published(known: PublishedScene) -> dict[str, float]:
+    """P's own figures, named as ours."""
+    stages = {
+        "before": (known.onboard_px, known.onboard_mean_px, known.onboard_rms_px),
+        "after": (known.compensated_px, known.mean_px, known.rms_px),
+    }
+    facts = {}
+    for stage, (relative, mean, rms) in stages.items():
+        values = dict(zip(("v_x", "v_y", "m_x", "m_y"), (*mean, *rms), strict=True))
+        facts |= {f"{name}_{stage}": v for name, v in {"relative_px": relative, **values}.items()}
     return facts
 
 

@@ -86,7 +86,7 @@ def _tables(outcome: Outcome, result: Mapping[str, Any]) -> list[Block]:
         rows = []
         for scene, own in zip(result["scenes"], outcome.scenes, strict=True):
             known = own.chain.case.published
-            swapped = known.onboard_rms_px if stage == "before" else known.rms_px
+            rms = known.onboard_rms_px if stage == "before" else known.rms_px
             relative = known.onboard_px if stage == "before" else known.compensated_px
             rows.append(
                 (
@@ -97,7 +97,7 @@ def _tables(outcome: Outcome, result: Mapping[str, Any]) -> list[Block]:
                         number(scene[f"{name}_{stage}"], 3)
                         for name in ("relative_px", "v_x", "v_y", "m_x", "m_y")
                     ),
-                    *(number(value, 3) for value in (relative, *swapped)),
+                    *(number(value, 3) for value in (relative, *rms)),
                     number(scene["truth"][stage]["relative_px"], 3),
                 )
             )
