@@ -18,13 +18,15 @@ from geoposition.scripts.cli import run as command
 from geoposition.scripts.experiments.jitter.cases import Size, cases
 from geoposition.scripts.experiments.jitter.chain import fuse
 from geoposition.scripts.experiments.jitter.outcome import Outcome
+from geoposition.scripts.experiments.jitter.report import build
 from geoposition.scripts.experiments.jitter.run import run_sized
 from geoposition.scripts.experiments.jitter.scene import sight
 from geoposition.scripts.experiments.jitter.truth import Telemetry, attainable
+from geoposition.scripts.report import render
 from geoposition.scripts.results import plain
 
 ARCSEC = np.pi / 648000.0
-SIZE = Size(4000, 256, 20.0)
+SIZE = Size(4000, 320, 12.0)
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +64,10 @@ def test_the_orthophoto_sees_what_the_truth_says(made: tuple[Outcome, Path]) -> 
         true = np.stack([np.interp(at[:, 0], error.rows, mean[:, k]) for k in (0, 1)], axis=-1)
         seen = found.matches.error_px[found.matches.used] - error.mean_px
         inside = (at[:, 0] > 100.0) & (at[:, 0] < SIZE.lines - 100.0)
-        assert np.sqrt(np.mean((seen - true)[inside] ** 2)) < 0.1
-        measured = [found.estimates[n].value for n in ("bias_line_px", "bias_sample_px")]
-        assert measured == pytest.approx(error.mean_px, abs=0.15)
+        missed = (seen - true)[inside]
+        assert len(missed) > 12
+        assert np.sqrt(np.mean(missed**2)) < 0.1
+        assert np.abs(missed.mean(axis=0)).max() < 0.05
 
 
 def test_the_jitter_is_found_as_planted(made: tuple[Outcome, Path]) -> None:
@@ -89,6 +92,14 @@ def test_json_has_the_contract(made: tuple[Outcome, Path]) -> None:
         assert scene[f"relative_px_{stage}"] == pytest.approx(size, abs=0.01)
     assert all(goal["met"] for goal in found["goals"].values())
     assert found["tables"]["1"][0]["paper_relative_px"] == 3.817
+
+
+def test_the_page_has_both_tables_and_all_figures(made: tuple[Outcome, Path]) -> None:
+    page = render(build(made[0], plain(made[0].as_json())))
+    assert page.count("data:image/png;base64") == 10
+    for words in ("P table 1", "P table 2", "1.459", "0.955", "05-dongying-zy3", "met"):
+        assert words in page
+    (made[1] / "report.html").write_text(page, encoding="utf-8")
 
 
 def test_files_are_what_commands_take(

@@ -19,7 +19,7 @@ from geoposition.scripts.results import plain
 from geoposition.scripts.tables import read_table
 from geoposition.sensors.readers import open_product
 
-RUNS, SEED = 6, 5
+RUNS, SEED = 5, 5
 SIZE = imaged.Size(400, 420)
 
 
@@ -36,11 +36,12 @@ def tables(monte_carlo: numerical.Numerical) -> Tables:
 def test_raw_is_worst_and_fused_is_as_good_as_true(tables: Tables) -> None:
     raw, fused, true = (tables.row(kind) for kind in ("raw", "fused", "true"))
     assert raw.after > 5.0 * fused.after
-    assert true.after <= fused.after < 1.05 * true.after
+    # 2 % in the mean of 200 runs, of which one scatters by 5 %
+    assert true.after <= fused.after < (1.02 + 4.0 * 0.05 / np.sqrt(RUNS)) * true.after
     for row in (fused, true):
         assert row.before > 3.0 * row.after
-        # the runs' mean square scatters by the runs' own scatter
-        assert abs(row.pooled / tables.limit_m - 1.0) < 4.0 * 0.12 / np.sqrt(RUNS)
+        # one run's RMSE scatters by an eighth
+        assert abs(row.pooled / tables.limit_m - 1.0) < 3.0 * 0.12 / np.sqrt(RUNS)
         assert row.stated == pytest.approx(tables.limit_m, rel=0.01)
 
 

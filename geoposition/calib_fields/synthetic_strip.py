@@ -111,14 +111,19 @@ def write_strip_dom(
     texture: EndlessTexture,
     outlines: Sequence[FloatArray],
     margin_m: float,
+    *,
+    factor: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write an 8-bit orthophoto, 0 for no data, filled within `margin_m` of `outlines` (n, 3)."""
+    """Write an 8-bit orthophoto, 0 for no data, filled within `margin_m` of `outlines` (n, 3).
+
+    Its pixels are means of `factor` × `factor` pixels of `grid`, on which the texture lies.
+    """
     shapes = [shapely.Polygon(to_crs(grid.crs, outline)[:, :2]) for outline in outlines]
     wanted = shapely.union_all(shapes).buffer(margin_m)
     shapely.prepare(wanted)
-    rows, cols = grid.shape
-    res = grid.resolution
+    rows, cols = (n // factor for n in grid.shape)
+    res = factor * grid.resolution
     try:
         with rasterio.open(
             fspath(path), "w", driver="GTiff", width=cols, height=rows, count=1, dtype="uint8",
@@ -134,8 +139,10 @@ def write_strip_dom(
                     tile = shapely.box(left, top - count * res, left + size * res, top)
                     if not wanted.intersects(tile):
                         continue
-                    grey = texture.pixels(row, col, count, size)
-                    values = np.clip(np.rint(255.0 * grey), 1.0, 255.0).astype(np.uint8)
+                    corner, fine = (factor * row, factor * col), (factor * count, factor * size)
+                    grey = texture.pixels(*corner, *fine)
+                    mean = grey.reshape(count, factor, size, factor).mean(axis=(1, 3))
+                    values = np.clip(np.rint(255.0 * mean), 1.0, 255.0).astype(np.uint8)
                     file.write(values, 1, window=Window(col, row, size, count))
                 if progress is not None:
                     progress(row + count, rows)

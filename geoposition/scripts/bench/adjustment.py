@@ -35,6 +35,14 @@ TARGET_S: Final = 3.0
 NOISE_PX: Final = 0.3
 GPS_M: Final = 0.05
 SCIPY_MATCHES: Final = 10_000
+STILL: Final = SceneOptions(
+    jitter_arcsec=(0.0, 0.0, 0.0),
+    drift_arcsec=0.0,
+    star_noise_arcsec=(0.0, 0.0, 0.0),
+    gps_sigma_m=0.0,
+    mounting_bias_arcsec=0.0,
+)
+"""A scene whose models are the true ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,15 +58,8 @@ class Problem:
 
 def problem(matches: int = MATCHES, control: int = CONTROL, seed: int = 0) -> Problem:
     """Simulate a ZY-3-like pair with attitude biases of some ten arcseconds."""
-    still = SceneOptions(
-        jitter_arcsec=(0.0, 0.0, 0.0),
-        drift_arcsec=0.0,
-        star_noise_arcsec=(0.0, 0.0, 0.0),
-        gps_sigma_m=0.0,
-        mounting_bias_arcsec=0.0,
-    )
     forward, _, backward = zy3_cameras()
-    scene = simulate_scene(still, 1, (forward, backward))
+    scene = simulate_scene(STILL, 1, (forward, backward))
     models = (scene.true["forward"], scene.true["backward"])
     blocks = tuple(
         attitude_bias(name, models, [k], sigma_rad=20.0 * ARCSEC_RAD)

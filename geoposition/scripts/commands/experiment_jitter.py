@@ -28,7 +28,7 @@ def command(
     Star samples and 10 kHz angular displacement are fused; an image, rendered through the true,
     jittered attitude, is made steady with the on-board attitude and with the fused one; both are
     matched with the field's orthophoto and compared with the truth. Without -o nothing is kept;
-    with it all files stay (about 2 GB, quick 0.5 GB), and each is what the other commands take.
+    with it all files stay (about 2.3 GB, quick 0.3 GB), and each is what the other commands take.
 
     Example: geoposition experiment jitter --quick -o jitter
     """

@@ -16,8 +16,8 @@ STAGES: Final = ("before", "after")
 
 _SEARCH_M: Final = 20.0
 """P's absolute error is a few pixels; ZY-3's motion of 10 m is in the attitude on board."""
-_SPACING_PX: Final = 176
-"""Patches are apart by 12 ms of the image: the on-board attitude's lines last 100 ms."""
+_SPACING_PX: Final = 88
+"""Patches are 12 ms of the image apart: the on-board attitude's lines last 100 ms."""
 
 
 def write_lists(folder: Path, cases: Sequence[Case]) -> None:

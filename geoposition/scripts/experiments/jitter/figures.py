@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from geoposition.arrays import FloatArray
+from geoposition.calib_fields.evaluation import Evaluation
 from geoposition.reimage.sinusoids import amplitude_spectrum
 from geoposition.scripts.experiments.jitter.chain import FilterCourse, SceneResult
 from geoposition.scripts.experiments.jitter.outcome import Scene
@@ -19,6 +20,7 @@ from geoposition.sensors.attitude_determination.jitter.lines import AXES
 ARCSEC_RAD: Final = float(np.pi / 648000.0)
 _DEG_H_RAD_S: Final = float(np.pi / 648000.0)
 _MOST_POINTS: Final = 3000
+_MOST_ARROWS: Final = 500
 SHOWN: Final = ("yaw", "roll", "pitch")
 """In the order of P figure 3."""
 _SIDES: Final = ("along track, px", "across track, px")
@@ -57,11 +59,11 @@ def amplitudes(chain: SceneResult) -> bytes:
                 size = peak.amplitude_rad / ARCSEC_RAD
                 axes.plot(peak.frequency_hz, size, "o", ms=4.5, mfc="none", color="#222222")
                 axes.annotate(
-                    f"{peak.frequency_hz:.2f} Hz, {size:.4f}″", (peak.frequency_hz, size),
-                    xytext=(-6, -3), textcoords="offset points", ha="right", fontsize=7.5,
+                    f"{peak.frequency_hz:.0f} Hz\n{size:.4f}″", (peak.frequency_hz, size),
+                    xytext=(0, 4), textcoords="offset points", ha="center", fontsize=7,
                 )  # fmt: skip
             axes.set_ylabel(f"{name}, ″")
-            axes.set_ylim(0.0, 0.03)
+            axes.set_ylim(0.0, 0.042)
             axes.margins(x=0.0)
         column[-1].set_xlabel("frequency, Hz")
         return png(figure)
@@ -126,6 +128,27 @@ def profiles(scenes: Sequence[Scene], stage: str) -> bytes:
             axes.set_title(_SIDES[k])
         for axes in grid[-1]:
             axes.set_xlabel("line")
+        return png(figure)
+
+
+def vectors(panels: Sequence[tuple[str, Evaluation]]) -> bytes:
+    """Residuals as arrows over line and sample, along the track to the right."""
+    with mpl.rc_context(STYLE):
+        figure, column = _column(len(panels), 1.5)
+        for k, (axes, (title, found)) in enumerate(zip(column, panels, strict=True)):
+            place = found.matches.model_px[_used(found.matches)]
+            few = np.linspace(0, len(place) - 1, min(len(place), _MOST_ARROWS)).astype(np.int64)
+            arrow = found.residual_px[few]
+            size = max(float(np.quantile(np.hypot(*arrow.T), 0.9)), 1e-9)
+            drawn = axes.quiver(
+                *place[few].T, *arrow.T, angles="uv", scale_units="width", scale=22.0 * size,
+                width=0.0016, color=COLOURS[k],
+            )  # fmt: skip
+            axes.quiverkey(drawn, 0.88, 1.08, size, f"{size:.2g} px", labelpos="E")
+            axes.set_title(title)
+            axes.set_ylabel("sample")
+            axes.margins(0.04)
+        column[-1].set_xlabel("line")
         return png(figure)
 
 

@@ -26,7 +26,8 @@ from geoposition.scripts.experiments.jitter.cases import PIXEL_M, Case
 from geoposition.terrain import ConstantTerrain, RasterTerrain
 from geoposition.terrain.surfaces import Terrain
 
-DOM_M: Final = PIXEL_M
+DOM_M: Final = 1.0
+"""Twice the image's pixel: a match finds what is off by ten pixels of the image."""
 DOM_SIGMA_M: Final = 0.0
 
 _DEM_RAD: Final = float(np.radians(0.5 / 3600.0))
@@ -37,7 +38,10 @@ _DOM_MARGIN_M: Final = 60.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground:
-    """A field's files, and the texture that its orthophoto and its images are taken of."""
+    """A field's files, and the texture that its orthophoto and its images are taken of.
+
+    The texture lies on the pixels of `grid`, as large as the images'.
+    """
 
     folder: Path
     terrain: Terrain
@@ -77,9 +81,12 @@ def make_ground(
     ground = RasterTerrain(folder / "dem.tif")
     outlines = [footprint(model, ground) for model in models]
     crs = f"EPSG:{utm_epsg(centre[0], centre[1])}"
-    grid = lattice_around(outlines, crs, DOM_M, _DOM_MARGIN_M)
+    grid = lattice_around(outlines, crs, PIXEL_M, _DOM_MARGIN_M)
     texture = EndlessTexture.of(seed)
-    write_strip_dom(folder / "dom.tif", grid, texture, outlines, _DOM_MARGIN_M, progress)
+    write_strip_dom(
+        folder / "dom.tif", grid, texture, outlines, _DOM_MARGIN_M,
+        factor=round(DOM_M / PIXEL_M), progress=progress,
+    )  # fmt: skip
     _describe(folder / FIELD_FILE, case, np.concatenate(outlines), crs)
     return Ground(folder, ground, grid, texture)
 

@@ -107,7 +107,7 @@ def _published(known: PublishedScene) -> dict[str, float]:
         "before": (known.onboard_px, known.onboard_mean_px, known.onboard_rms_px),
         "after": (known.compensated_px, known.mean_px, known.rms_px),
     }
-    facts = {}
+    facts: dict[str, float] = {}
     for stage, (relative, mean, rms) in stages.items():
         values = dict(zip(("v_x", "v_y", "m_x", "m_y"), (*mean, *rms), strict=True))
         facts |= {f"{name}_{stage}": v for name, v in {"relative_px": relative, **values}.items()}

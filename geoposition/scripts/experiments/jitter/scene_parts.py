@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
-from geoposition.calib_fields.evaluation import Evaluation
 from geoposition.scripts import evaluate_figures
 from geoposition.scripts.experiments.jitter import figures
 from geoposition.scripts.experiments.jitter.outcome import Outcome, Scene
-from geoposition.scripts.figures import VectorPanel
 from geoposition.scripts.report import Block, Commands, Image, Note, Table, Text, number
 from geoposition.sensors.attitude_determination.jitter.lines import AXES
-
-_MOST_ARROWS: Final = 500
 
 
 def jitter_blocks(scene: Scene, facts: Mapping[str, Any]) -> list[Block]:
@@ -86,9 +82,9 @@ def fusion_blocks(scene: Scene, facts: Mapping[str, Any]) -> list[Block]:
             "Three lines over time.",
         ),
         Note(
-            "Sixty seconds of star noise of 5″ leave the drift uncertain by "
-            f"{number(float(np.mean(told['drift_sigma_deg_h'])), 1)} °/h, far more than the "
-            "0.5 °/h that there are: over 2 s this costs a few hundredths of a pixel."
+            "The telemetry's star noise of 5″ leaves the drift uncertain by "
+            f"{number(float(np.mean(told['drift_sigma_deg_h'])), 3)} °/h, which costs the image "
+            "some hundredths of a pixel."
         ),
     ]
 
@@ -106,12 +102,11 @@ def match_blocks(outcome: Outcome) -> list[Block]:
             "Points over the image.",
         ),
         Image(
-            evaluate_figures.lying_vectors(
+            figures.vectors(
                 [
-                    _panel(scene.before, "On-board attitude"),
-                    _panel(scene.after, "Stars and angular displacement"),
-                ],
-                unit="px",
+                    ("On-board attitude", scene.before),
+                    ("Stars and angular displacement", scene.after),
+                ]
             ),
             "Residuals about the shift, each panel with its own scale.",
             "Two vector fields.",
@@ -122,13 +117,6 @@ def match_blocks(outcome: Outcome) -> list[Block]:
             "Four scatter plots.",
         ),
     ]
-
-
-def _panel(found: Evaluation, title: str) -> VectorPanel:
-    used = found.matches.used & np.isfinite(found.matches.error_px).all(axis=1)
-    place = found.matches.model_px[used]
-    few = np.linspace(0, len(place) - 1, min(len(place), _MOST_ARROWS)).astype(np.int64)
-    return VectorPanel(title, place[few], found.residual_px[few])
 
 
 def commands_blocks(scene: Scene) -> list[Block]:

@@ -35,7 +35,7 @@ class Size:
 
 
 FULL: Final = Size(3000, 3072)
-QUICK: Final = Size(1000, 1000)
+QUICK: Final = Size(800, 800)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

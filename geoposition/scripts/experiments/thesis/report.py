@@ -199,11 +199,15 @@ def _claims(checks: Checks) -> Section:
     first = checks.observability[0]
     seen = Table(
         "Gyro parameters after 90 minutes: sigma in parts of the prior's (1: nothing learnt)",
-        ["motion", *first.sigma_ratio, "determined"],
+        ["parameter", *(o.motion for o in checks.observability)],
         [
-            [o.motion, *(f"{v:.3f}" for v in o.sigma_ratio.values()), f"{o.rank} of 12"]
-            for o in checks.observability
+            *(
+                [name, *(f"{o.sigma_ratio[name]:.3f}" for o in checks.observability)]
+                for name in first.sigma_ratio
+            ),
+            ["determined combinations", *(f"{o.rank} of 12" for o in checks.observability)],
         ],
+        strong=(len(first.sigma_ratio),),
     )
     return Section(
         "Single statements, checked",

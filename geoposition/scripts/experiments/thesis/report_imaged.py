@@ -150,7 +150,7 @@ def _stereo(made: Imaged, folder: Path) -> Section:
                 rows,
             ),
             Note(
-                "One case scatters by a tenth about its expectation; the means above decide. With "
+                "One case scatters by an eighth about its expectation: the means decide. With "
                 "raw attitude the adjustment's own statement is far too good: it was told of "
                 "image noise alone."
             ),

@@ -43,6 +43,7 @@ _DRIFT_ARCSEC: Final = 10.0
 _DRIFT_PERIOD_S: Final = 180.0
 _PAD_S: Final = 4.0
 _EDGE_PX: Final = 400.0
+_SEAM_PX: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,13 +122,22 @@ def zy3_scene(cameras: Sequence[CameraDesign], seed: int) -> Scene:
 
 
 def common_ground(scene: Scene, count: int, rng: np.random.Generator) -> FloatArray:
-    """Ground points (count, 3) that all images show, strewn over plan and heights."""
+    """Ground points (count, 3) that all images show, strewn over plan and heights.
+
+    None lies on a seam between CCDs: who marks a point does so in the image of one CCD, while
+    noise could move a simulated mark to the next one, some pixels ahead.
+    """
     models = list(scene.models.values())
     edge = min(_EDGE_PX, 0.05 * min(models[0].shape))
     image = rng.uniform(edge, np.array(models[0].shape) - edge, (8 * count, 2))
     heights = rng.uniform(*HEIGHTS_M, len(image))
     ground = models[0].image_to_ground(image, heights).geodetic
-    seen = np.all([model.ground_to_image(ground).flag == Flag.OK for model in models[1:]], axis=0)
-    if seen.sum() < count:
+    good = np.ones(len(ground), dtype=np.bool_)
+    for model in models:
+        found = model.ground_to_image(ground)
+        seams = np.array([ccd.last_sample + 0.5 for ccd in model.camera.detectors])
+        off = np.abs(found.image_px[:, 1, None] - seams).min(axis=1)
+        good &= (found.flag == Flag.OK) & (off > _SEAM_PX)
+    if good.sum() < count:
         raise GeometryError(f"scene: {count} points that all images show expected")
-    return ground[seen][:count]
+    return ground[good][:count]

@@ -1,0 +1,128 @@
+"""The documentation is true: its code runs, its commands exist, its pages build."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+from doc_pages import DOCS, Block, blocks, files, pages
+
+from geoposition.scripts import cli
+from geoposition.scripts.demo_data import DemoOptions
+from geoposition.scripts.demo_files import write_inputs
+from geoposition.scripts.demo_run import run_demo
+
+ROOT = DOCS.parent
+ALL = [(page, block) for page in pages() for block in blocks(page)]
+
+
+def runs(block: Block) -> bool:
+    return block.language == "python" or block.runs
+
+
+RUNNING = sorted({page for page, block in ALL if runs(block)})
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The demo's inputs, of a smaller demo: same names, same columns, fewer points."""
+    folder = tmp_path_factory.mktemp("demo")
+    options = DemoOptions(check_points=60, grid=12)
+    write_inputs(run_demo(options, folder / "dem.tif", lambda done, total: None), folder)
+    return folder
+
+
+@pytest.mark.parametrize("page", RUNNING)
+def test_page_runs(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    """Every file is written, every Python block runs, every marked command succeeds, in order."""
+    for name, folder in files(page).items():
+        source: Path = request.getfixturevalue("demo" if folder == "demo" else "real_data")
+        (tmp_path / name).symlink_to(source if folder == "demo" else source / folder)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    known: dict[str, object] = {"__name__": "docs"}
+    for block in blocks(page):
+        if block.title:
+            Path(block.title).write_text(block.text, encoding="utf-8")
+        elif block.language == "python":
+            code = "\n" * block.line + block.text
+            exec(compile(code, str(DOCS / page), "exec"), known)
+        elif block.runs:
+            for arguments in block.commands():
+                assert cli.run(arguments) == 0, f"{page}: geoposition {' '.join(arguments)}"
+
+
+def test_every_command_is_known() -> None:
+    """What is not run is at least parsed: the command exists, and takes these arguments."""
+    refused = []
+    root = typer.main.get_command(cli.build())
+    for page, block in ALL:
+        for arguments in block.commands():
+            command, rest = root, arguments
+            while hasattr(command, "commands") and rest and not rest[0].startswith("-"):
+                command, rest = command.commands.get(rest[0]), rest[1:]
+            try:
+                assert command is not None, "no such command"
+                if "--help" not in arguments:
+                    command.make_context("geoposition", list(rest))
+            except Exception as error:
+                line = f"{page}:{block.line}: {' '.join(arguments)}: {error}"
+                refused.append(line)
+    assert refused == []
+    assert sum(len(block.commands()) for _, block in ALL) > 60
+
+
+def test_every_command_has_its_place() -> None:
+    """No command without a word in the guides or the table of reproductions."""
+    text = "\n".join((DOCS / page).read_text(encoding="utf-8") for page in pages())
+    absent = [
+        words for words in cli.command_words() if f"geoposition {' '.join(words)}" not in text
+    ]
+    assert absent == []
+
+
+def test_named_modules_exist() -> None:
+    """Modules that theory and reference name are there to be looked up."""
+    absent = []
+    for page in pages():
+        text = (DOCS / page).read_text(encoding="utf-8")
+        named = re.findall(r"`(geoposition(?:\.\w+)+)`", text)
+        named += re.findall(r"^::: (geoposition(?:\.\w+)*)", text, re.MULTILINE)
+        absent += [(page, name) for name in named if not exists(name)]
+    assert absent == []
+
+
+def exists(name: str) -> bool:
+    """Whether `name` is a module, or something in one."""
+    module, _, attribute = name.rpartition(".")
+    try:
+        if importlib.util.find_spec(name) is not None:
+            return True
+    except ModuleNotFoundError:
+        pass
+    return hasattr(importlib.import_module(module), attribute)
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2]
+    assert sorted(re.findall(r"[\w/-]+\.md", nav)) == pages()
+
+
+def test_pages_build(tmp_path: Path) -> None:
+    if any(importlib.util.find_spec(name) is None for name in ("mkdocs", "mkdocstrings", "material")):
+        pytest.skip("MKDOCS ABSENT: pip install '.[docs]' to build the pages")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-4000:]
