@@ -38,7 +38,7 @@ def _encode(
     held, bits = np.int64(_CLEAR), width
     string = np.int64(content[0])
     for k in range(1, len(content) + 1):
-        slot, key = -1, np.int64(0)
+        slot, key = np.int64(-1), np.int64(0)
         if k < len(content):
             key = (string << 8) | np.int64(content[k])
             slot = (key * 40503 >> 4) & (_SLOTS - 1)

@@ -12,14 +12,10 @@ from contextlib import contextmanager
 from glob import escape
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any, Final
+from typing import Final
 
 from geoposition.errors import ProductError
-
-try:
-    import fcntl
-except ImportError:  # there an open file cannot be removed, and that is lock enough
-    fcntl = None  # type: ignore[assignment]
+from geoposition.scripts.file_locks import try_lock
 
 _LOCK: Final = ".lock"
 
@@ -42,7 +38,7 @@ def scratch_beside(target: Path) -> Iterator[Path]:
     except OSError as error:
         raise ProductError(target, "", f"a writable place expected ({error.strerror})") from None
     try:
-        _locked(lock)
+        try_lock(lock)
         yield folder
     finally:
         lock.close()
@@ -68,19 +64,8 @@ def _clear_dead(parent: Path, prefix: str) -> None:
     for folder in parent.glob(f"{escape(prefix)}*.part"):
         try:
             with (folder / _LOCK).open("wb") as lock:
-                if not _locked(lock):
+                if not try_lock(lock):
                     continue
         except OSError:
             continue
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _locked(lock: Any) -> bool:
-    """Take `lock` if nobody has it."""
-    if fcntl is None:
-        return True
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True

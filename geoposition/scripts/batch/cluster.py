@@ -1,3 +1,4 @@
+# mypy: disable-error-code="no-untyped-call"
 """Scenes on a Dask cluster: only door to `dask.distributed`."""
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from typing import Final, Literal
 
 from geoposition.errors import ProductError
 from geoposition.scripts.batch.plan import Job
+from geoposition.scripts.file_locks import wait_for_lock
 from geoposition.scripts.tables import whole_file
 
 MARK: Final = "scene.json"
@@ -137,12 +138,6 @@ def _journal(state: Path, scene: str, event: str) -> None:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Hold the lock `path`; the system frees it when the process ends, however it does."""
-    with path.open("w") as handle:
-        try:
-            import fcntl
-        except ImportError:  # no such locks: the folders' marks alone keep order
-            yield
-            return
-        fcntl.flock(handle, fcntl.LOCK_EX)
+    with path.open("w") as file:
+        wait_for_lock(file)
         yield

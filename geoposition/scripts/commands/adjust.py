@@ -51,7 +51,7 @@ def command(
     models: ID.toml with tables and ID_csm.json, or ID_RPC.TXT. --example explains every key.
 
     Example: geoposition adjust run.toml -o adjusted/
-    """
+    """  # noqa: D301  # click wants the character, not the two
     from geoposition.errors import ArgumentError
     from geoposition.scripts.results import print_facts, print_json, progress_bar
 

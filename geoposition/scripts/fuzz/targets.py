@@ -109,7 +109,10 @@ def _tables() -> Iterator[Target]:
         "t_s,x,y,z,vx,vy,vz", "{t},6878137.0,{k},0,0,7500,100"
     )
     yield Target("ephemeris table", read_ephemeris, _text("orbit.csv", orbit))
-    mounting = '[A]\nquat_xyzw = [0.0, 0.6, 0.0, 0.8]\n[gyro]\neuler_deg = [1.0, 2.0, 3.0]\nsequence = "zxy"\n'
+    mounting = (
+        "[A]\nquat_xyzw = [0.0, 0.6, 0.0, 0.8]\n"
+        '[gyro]\neuler_deg = [1.0, 2.0, 3.0]\nsequence = "zxy"\n'
+    )
     yield Target("mounting", open_mounting, _text("mounting.toml", mounting))
     points = _rows("id,row,col,height", "p{k},{k},{t},100.0")
     yield Target(

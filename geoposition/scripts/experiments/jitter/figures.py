@@ -112,15 +112,11 @@ def profiles(scenes: Sequence[Scene], stage: str) -> bytes:
             true = chain.error_before if stage == "before" else chain.error_after
             found = scene.before if stage == "before" else scene.after
             pick = _thinned(len(true.rows))
+            line = found.matches.model_px[_used(found.matches), 0]
             for k, axes in enumerate(row):
                 axes.axhline(0.0, color="#999999", lw=0.6)
-                axes.plot(true.rows[pick], true.profile_px[pick, k], color="#222222", lw=0.7,
-                          label="against the truth")  # fmt: skip
-                axes.errorbar(
-                    found.along.centre_px, found.along.mean_px[:, k],
-                    2.0 * found.along.sigma_px[:, k], fmt=".", ms=2.5, lw=0.6, color=COLOURS[k],
-                    label="against the orthophoto",
-                )  # fmt: skip
+                axes.plot(true.rows[pick], true.profile_px[pick, k], color="#222222", lw=0.7)
+                axes.plot(line, found.residual_px[:, k], ".", ms=2.0, color=COLOURS[k])
                 axes.margins(x=0.01)
             name = chain.case.published
             row[0].set_ylabel(f"{name.region}\n{name.date[5:10]}", fontsize=7.5)

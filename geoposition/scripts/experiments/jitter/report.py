@@ -168,7 +168,7 @@ def _truth(outcome: Outcome, result: Mapping[str, Any]) -> list[Block]:
         Image(
             figures.profiles(outcome.scenes, "before"),
             "On-board attitude: error along each image, about its mean. Line: against the truth; "
-            "dots: mean residual against the orthophoto, with two standard deviations.",
+            "dots: residuals of the matches with the orthophoto.",
             "Error along the lines, one row of two panels for each scene.",
         ),
         Image(
