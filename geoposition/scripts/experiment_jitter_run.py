@@ -51,8 +51,8 @@ def _folder(output: Path | None) -> Iterator[Path]:
     """Give the folder to fill, empty; where filling it fails, nothing is left in it.
 
     Without `output` it is a fleeting one. A folder that is there already must be empty or a
-    former run's, whose files go while others stay. It is filled in its place, since many files
-    name each other.
+    former run's, ended or not, whose files go while others stay. It is filled in its place, since
+    many files name each other.
     """
     if output is None:
         with TemporaryDirectory(prefix="geoposition-jitter-") as name:
@@ -61,7 +61,8 @@ def _folder(output: Path | None) -> Iterator[Path]:
     if output.exists() and not output.is_dir():
         raise ProductError(output, "", "a folder for the results expected, this is a file")
     new = not output.exists()
-    if not new and any(output.iterdir()) and not (output / _MARK).is_file():
+    ours = {path for pattern in _OURS for path in output.glob(pattern)}
+    if not new and not (output / _MARK).is_file() and set(output.iterdir()) - ours:
         raise ArgumentError(f"{output}: a new folder, an empty one or a former run's expected")
     try:
         output.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,9 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
+from math import ceil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import FrameType
 from typing import Final
 
@@ -29,6 +31,7 @@ HANG_S: Final = 10.0
 """An input that takes longer is a finding."""
 _PART: Final = 2_000
 _KEPT: Final = 5
+_TRIED: Final = 20
 _ONE_LINE: Final = 2_000
 
 
@@ -78,21 +81,21 @@ def run(
     keep: Path,
     progress: Progress,
 ) -> list[Tally]:
-    """Feed `inputs` in all, shared evenly among targets whose name holds `only`.
+    """Feed `inputs` in all to the targets whose name holds `only`, fast ones getting more.
 
     Findings go to `keep`, a folder each. A process that dies is a finding, and its last input
     is kept.
     """
-    names = [target.name for target in targets(data) if only in target.name]
-    each = -(-inputs // max(len(names), 1))
+    keep.mkdir(parents=True, exist_ok=True)
+    counts = _shares([target for target in targets(data) if only in target.name], inputs, keep)
+    total = sum(counts.values())
     parts = [
-        Part(name, begin, min(_PART, each - begin), seed)
-        for name in names
-        for begin in range(0, each, _PART)
+        Part(name, begin, min(_PART, count - begin), seed)
+        for name, count in counts.items()
+        for begin in range(0, count, _PART)
     ]
     random.Random(seed).shuffle(parts)
-    tallies = {name: Tally(name) for name in names}
-    keep.mkdir(parents=True, exist_ok=True)
+    tallies = {name: Tally(name) for name in counts}
     done = 0
     broken: list[Part] = []
     context = multiprocessing.get_context("spawn")
@@ -106,7 +109,7 @@ def run(
                 broken.append(part)
                 continue
             done += part.count
-            progress(done, each * len(names))
+            progress(done, total)
     # One of them killed its process, and with it the pool: one by one it shows which.
     for part in broken:
         with ProcessPoolExecutor(1, context) as pool:
@@ -115,10 +118,27 @@ def run(
             except BrokenProcessPool:
                 tallies[part.target].findings.append(("crash", f"{part}", _last_input(keep, part)))
         done += part.count
-        progress(done, each * len(names))
+        progress(done, total)
     for tally in tallies.values():
         save(keep, tally)
     return list(tallies.values())
+
+
+def _shares(found: Sequence[Target], inputs: int, folder: Path) -> dict[str, int]:
+    """Inputs for each target: the same time for all, yet none below a tenth of an even share."""
+    rates = []
+    for target in found:
+        rng, tally = random.Random(target.name), Tally(target.name)
+        begin = time.perf_counter()
+        with TemporaryDirectory(dir=folder) as place:
+            for _ in range(_TRIED):
+                feed(target, rng, Path(place), tally)
+        rates.append(_TRIED / max(time.perf_counter() - begin, 1e-3))
+    even = inputs / max(len(found), 1)
+    return {
+        target.name: ceil(max(0.1 * even, inputs * rate / sum(rates)))
+        for target, rate in zip(found, rates, strict=True)
+    }
 
 
 _CACHE: dict[str, Target] = {}
