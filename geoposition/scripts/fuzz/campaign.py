@@ -125,7 +125,7 @@ def run(
 
 
 def _shares(found: Sequence[Target], inputs: int, folder: Path) -> dict[str, int]:
-    """Inputs for each target: the same time for all, yet none below a tenth of an even share."""
+    """Give each target inputs: the same time for all, yet none below a tenth of an even share."""
     rates = []
     for target in found:
         rng, tally = random.Random(target.name), Tally(target.name)
