@@ -65,9 +65,9 @@ def command(
     the image onto the reference (reference less located); x runs along the track, y across it.
     Without --geoid the DEM's heights are taken as ellipsoidal, and refused where the DEM says
     otherwise. With --points the heights of a stereo intersection are compared with the DEM: bias,
-    RMSE and LE90. A list RUN.toml holds [[scene]]
+    RMSE and LE90. A list RUN.toml holds [\\[scene]]
     tables with product, image, date, region, side_swing_deg and any of the options above, and a
-    table [defaults] with what they share.
+    table \\[defaults] with what they share.
 
     Example: geoposition evaluate image.tif --dom dom.tif --dem dem.tif --geoid egm96.gtx -o out
     """
