@@ -18,6 +18,7 @@ from geoposition.adjust.residuals import ImageEquations
 from geoposition.adjust.sights import Sights
 from geoposition.arrays import FloatArray, IntArray
 from geoposition.ellipsoid import ecef_to_geodetic, enu_axes
+from geoposition.threads import threads_for
 
 _CHUNK: Final = 32768
 _WEAK: Final = 1e-4
@@ -46,13 +47,15 @@ class Linear:
     def step_m(self, dz: FloatArray) -> FloatArray:
         """Movement (n, 3) of the points when all unknowns move by `dz`."""
         right = (self.top @ dz[self.columns] + self.top_r)[..., None]
-        back_substitute(self.triangle, right, self.strong)
+        with threads_for(len(right)):
+            back_substitute(self.triangle, right, self.strong)
         return right[..., 0]
 
     def point_covariance(self, covariance: FloatArray) -> FloatArray:
         """Covariance (n, 3, 3), ECEF, of points whose own noise is not in `covariance` of z."""
         right = np.concatenate([np.broadcast_to(np.eye(3), (len(self.top), 3, 3)), self.top], 2)
-        back_substitute(self.triangle, right, self.strong)
+        with threads_for(len(right)):
+            back_substitute(self.triangle, right, self.strong)
         own, by_unknown = right[:, :, :3], right[:, :, 3:]
         some = covariance[np.ix_(self.columns, self.columns)]
         moved = by_unknown @ some
@@ -133,8 +136,9 @@ def linearise(
     out: list[FloatArray] = []
     for low in range(0, n, _CHUNK):
         part = slice(low, min(low + _CHUNK, n))
-        work = whitened_rows(equations, points, group, part, theta, known)
-        eliminate(work)
+        with threads_for(group.rows[part].size):
+            work = whitened_rows(equations, points, group, part, theta, known)
+            eliminate(work)
         if not out:
             q = work.shape[1] - 3
             shapes = [(n, q, p), (n, q), (n, 3, 3), (n, 3, p), (n, 3)]
