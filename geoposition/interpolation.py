@@ -237,3 +237,32 @@ class PolynomialCurve:
         """First derivatives (..., k) at `times_s` (...)."""
         degrees = np.arange(1, len(self.coefficients))[:, None]
         return self._horner(times_s, self.coefficients[1:] * degrees / self.scale_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SumCurve:
+    """Two curves added, over the span both share."""
+
+    first: Curve
+    second: Curve
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """The span both share."""
+        (a, b), (c, d) = self.first.span_s, self.second.span_s
+        return max(a, c), min(b, d)
+
+    @property
+    def knots_s(self) -> FloatArray:
+        """The knots of both, inside the shared span."""
+        knots = np.union1d(self.first.knots_s, self.second.knots_s)
+        low, high = self.span_s
+        return knots[(knots >= low) & (knots <= high)]
+
+    def value(self, times_s: ArrayLike) -> FloatArray:
+        """Values (..., k) at `times_s` (...)."""
+        return self.first.value(times_s) + self.second.value(times_s)
+
+    def rate(self, times_s: ArrayLike) -> FloatArray:
+        """First derivatives (..., k) at `times_s` (...)."""
+        return self.first.rate(times_s) + self.second.rate(times_s)

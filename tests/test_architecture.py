@@ -18,6 +18,7 @@ DOORS = {
     "astropy_iers_data": ("earth_orientation.py",),
     "cv2": ("matching/", "dense/sgm.py", "dense/filters.py"),
     "laspy": ("surface/point_cloud.py",),
+    "atheris": ("scripts/fuzz/guided.py",),
     "gtsam": (
         "adjust/factors.py",
         "sensors/attitude_determination/graph/engine.py",

@@ -13,11 +13,13 @@ import pytest
 import typer
 from doc_pages import DOCS, Block, blocks, files, pages
 
+from geoposition.calib_fields.field import load_field
 from geoposition.scripts import cli
 from geoposition.scripts.batch.plan import read_plan
 from geoposition.scripts.demo_data import DemoOptions
 from geoposition.scripts.demo_files import write_inputs
 from geoposition.scripts.demo_run import run_demo
+from geoposition.scripts.evaluate_settings import Settings, scenes_of
 
 ROOT = DOCS.parent
 ALL = [(page, block) for page in pages() for block in blocks(page)]
@@ -114,6 +116,21 @@ def test_every_command_has_its_place() -> None:
         words for words in cli.command_words() if f"geoposition {' '.join(words)}" not in text
     ]
     assert absent == []
+
+
+def test_fields_and_lists_are_read(tmp_path: Path) -> None:
+    """The accuracy guide's field and its list of scenes are what `evaluate` takes."""
+    named = {block.title: block.text for _, block in ALL if block.title}
+    for name in ("scenes.toml", "field.toml"):
+        (tmp_path / name).write_text(named[name], encoding="utf-8")
+    (tmp_path / "dom").mkdir()
+    for name in ("dom/tile.tif", "dem.tif", "egm96_15.gtx", "gcps.csv"):
+        (tmp_path / name).touch()
+    field = load_field(tmp_path / "field.toml")
+    assert (field.dom_sigma_m, field.dem_sigma_m) == (0.5, 1.0)
+    first, second = scenes_of(tmp_path / "scenes.toml", Settings())
+    assert first.facts["side_swing_deg"] == -4.965
+    assert second.settings.dom == (tmp_path / "field" / "dom.tif",)
 
 
 def test_named_modules_exist() -> None:

@@ -32,7 +32,7 @@ SIZE = Size(4000, 320, 12.0)
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
     folder = tmp_path_factory.mktemp("jitter")
-    return run_sized(folder, lambda done, total: None, cases(3, [5]), 3, SIZE), folder
+    return run_sized(folder, lambda done, total: None, cases(3, [5]), 3, SIZE, processes=1), folder
 
 
 def test_every_figure_is_within_its_bound(made: tuple[Outcome, Path]) -> None:

@@ -22,7 +22,7 @@ from geoposition.attitude import Attitude, EulerCurve, ProductCurve, RotationCur
 from geoposition.camera import Camera, Detector, LineTiming
 from geoposition.ephemeris import Ephemeris
 from geoposition.errors import ArgumentError
-from geoposition.interpolation import Curve
+from geoposition.interpolation import SumCurve
 from geoposition.pushbroom import PushbroomModel
 from geoposition.rays import Rays
 from geoposition.rpc.model import RpcModel
@@ -30,35 +30,6 @@ from geoposition.rpc.transform import ImageAffine, bias_compensated
 from geoposition.sensor_model import GroundPoints, ImagePoints, SensorModel
 
 _RPC_MISFIT_PX = 1e-3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SumCurve:
-    """Two curves added, over the span both share."""
-
-    first: Curve
-    second: Curve
-
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """The span both share."""
-        (a, b), (c, d) = self.first.span_s, self.second.span_s
-        return max(a, c), min(b, d)
-
-    @property
-    def knots_s(self) -> FloatArray:
-        """The knots of both, inside the shared span."""
-        knots = np.union1d(self.first.knots_s, self.second.knots_s)
-        low, high = self.span_s
-        return knots[(knots >= low) & (knots <= high)]
-
-    def value(self, times_s: ArrayLike) -> FloatArray:
-        """Values (..., k) at `times_s` (...)."""
-        return self.first.value(times_s) + self.second.value(times_s)
-
-    def rate(self, times_s: ArrayLike) -> FloatArray:
-        """First derivatives (..., k) at `times_s` (...)."""
-        return self.first.rate(times_s) + self.second.rate(times_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,7 @@ from geoposition.arrays import FlagArray, FloatArray, IntArray
 from geoposition.ellipsoid import ecef_to_geodetic, enu_axes, geodetic_to_ecef
 from geoposition.errors import ArgumentError
 from geoposition.flags import Flag, has_result
+from geoposition.longitudes import middle_of
 from geoposition.observations import ControlPoints, Ids, TiePoints
 from geoposition.sensor_model import SensorModel
 from geoposition.triangulate import triangulate
@@ -176,7 +177,7 @@ def of_ties(
     geodetic = found.geodetic.copy()
     lost = ~has_result(flag)
     if np.any(~lost):
-        geodetic[lost] = np.median(geodetic[~lost], axis=0)
+        geodetic[lost] = middle_of(geodetic[~lost])
     else:
         geodetic[lost] = 0.0
     k = 0

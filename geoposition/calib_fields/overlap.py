@@ -16,6 +16,7 @@ from geoposition.flags import has_result
 from geoposition.locate import locate
 from geoposition.reimage.ortho import OrthoGrid
 from geoposition.sensor_model import SensorModel
+from geoposition.surface import is_geographic, near_degrees
 from geoposition.terrain import Terrain
 
 _BORDER: Final = 33
@@ -68,6 +69,8 @@ def find_overlap(model: SensorModel, terrain: Terrain, dom: Dom, margin_m: float
     except ArgumentError as error:
         raise GeometryError(f"{dom.paths[0]}: coordinate system: {error}") from None
     place = place[np.isfinite(place).all(axis=1)]
+    if is_geographic(dom.grid.crs):
+        place = near_degrees(place, dom.grid.left)
     pixel_m = pixel_size_m(dom.grid)
     factor = max(1, round(mean_m / pixel_m))
     lattice = dom.coarser(factor)

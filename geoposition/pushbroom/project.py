@@ -36,7 +36,6 @@ from geoposition.pushbroom.lanes import (
     LINE_S,
     LOWEST_HEIGHT_M,
     MAX_STEPS,
-    MEAN_RADIUS_M,
     NOT_CONVERGED,
     NX,
     NY,
@@ -72,7 +71,6 @@ from geoposition.pushbroom.lanes import (
     pixel_flag,
 )
 
-
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def _newton(n: int, w: FloatArray, aberration: float, light_time: float) -> None:
     """One Newton step towards the image points of the ground points: `DLINE`, `DSAMPLE`.
@@ -93,15 +91,20 @@ def _newton(n: int, w: FloatArray, aberration: float, light_time: float) -> None
         ux *= unit
         uy *= unit
         uz *= unit
-        nx = w[NX * LANES + i] - sx / MEAN_RADIUS_M
-        ny = w[NY * LANES + i] - sy / MEAN_RADIUS_M
-        nz = w[NZ * LANES + i] - sz / MEAN_RADIUS_M
+        nx, ny, nz = w[NX * LANES + i], w[NY * LANES + i], w[NZ * LANES + i]
+        # The normal there: the ellipsoid's curvature, as of (x / (N + h), z / ((1 - e²) N + h)).
+        flat = (1.0 - 0.5 * WGS84_E2 * nz * nz) / WGS84_A_M
+        steep = flat * (1.0 + WGS84_E2 + WGS84_E2 * WGS84_E2)
+        upright = 1.0 + flat * (nx * sx + ny * sy) + steep * nz * sz
+        nx = upright * nx - flat * sx
+        ny = upright * ny - flat * sy
+        nz = upright * nz - steep * sz
         cos_z = -(nx * ux + ny * uy + nz * uz)
         bend = w[KM * LANES + i] / (cos_z * cos_z * cos_z)
         sx = bend * (-ux - cos_z * nx)
         sy = bend * (-uy - cos_z * ny)
         sz = bend * (-uz - cos_z * nz)
-        drop = 0.5 * (sx * sx + sy * sy + sz * sz) / MEAN_RADIUS_M
+        drop = 0.5 * (flat * (sx * sx + sy * sy) + steep * sz * sz)
         sx -= drop * nx
         sy -= drop * ny
         sz -= drop * nz

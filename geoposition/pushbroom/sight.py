@@ -25,7 +25,6 @@ from geoposition.pushbroom.lanes import (
     LANES,
     LINE,
     LOWEST_HEIGHT_M,
-    MEAN_RADIUS_M,
     NO_INTERSECTION,
     OUTSIDE_IMAGE,
     PER_C,
@@ -142,7 +141,9 @@ def _sight(
         sx = bend * (-ux - cos_z * nx)
         sy = bend * (-uy - cos_z * ny)
         sz = bend * (-uz - cos_z * nz)
-        drop = 0.5 * (sx * sx + sy * sy + sz * sz) / MEAN_RADIUS_M
+        curved = (1.0 - 0.5 * WGS84_E2 * nz * nz) / WGS84_A_M
+        steep = curved * (1.0 + WGS84_E2 + WGS84_E2 * WGS84_E2)
+        drop = 0.5 * (curved * (sx * sx + sy * sy) + steep * sz * sz)
         # Behind the camera, or below the surface: no line of sight (cos_z is NaN for a miss).
         miss = 0.0 if (t > 0.0 and cos_z > 0.0 and cc > 0.0) else np.nan
         w[GX * LANES + i] = gx + dt * ux + sx - drop * nx + miss

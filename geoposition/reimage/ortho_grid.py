@@ -8,11 +8,12 @@ from typing import Final
 import numpy as np
 
 from geoposition.arrays import FloatArray
-from geoposition.datum import from_crs, to_crs
+from geoposition.datum import from_crs
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import has_result
 from geoposition.locate import locate
 from geoposition.sensor_model import SensorModel
+from geoposition.surface import map_extent
 from geoposition.terrain import Terrain
 
 _BORDER: Final = 33
@@ -51,9 +52,8 @@ class OrthoGrid:
         seen = has_result(ground.flag)
         if not seen.any():
             raise GeometryError("ortho: the terrain has no height where the image looks")
-        place = to_crs(crs, ground.geodetic[seen])[:, :2]
-        low = np.floor(place.min(axis=0) / resolution)
-        high = np.ceil(place.max(axis=0) / resolution)
+        lowest, highest = map_extent(crs, ground.geodetic[seen])
+        low, high = np.floor(lowest / resolution), np.ceil(highest / resolution)
         cols_rows = np.maximum(high - low, 1.0)
         if not np.isfinite(cols_rows).all() or np.prod(cols_rows) > _MOST_PIXELS:
             raise ArgumentError(f"ortho: {cols_rows[1]:g} x {cols_rows[0]:g} pixels are too many")

@@ -12,6 +12,7 @@ import numpy as np
 from geoposition.arrays import FloatArray
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import flag_labels, has_result
+from geoposition.longitudes import unbroken
 from geoposition.sensor_model import SensorModel
 
 LEAST_HALF_HEIGHT_M: Final = 50.0
@@ -180,10 +181,3 @@ def widened(heights_m: tuple[float, float]) -> tuple[float, float]:
         raise ArgumentError(f"heights: metres, low to high, expected; got {low} .. {high}")
     middle, half = 0.5 * (low + high), max(0.5 * (high - low), LEAST_HALF_HEIGHT_M)
     return middle - half, middle + half
-
-
-def unbroken(lon_rad: FloatArray) -> FloatArray:
-    """Longitudes within half a turn of their mean direction, which is within ±180°."""
-    middle = math.atan2(float(np.sin(lon_rad).mean()), float(np.cos(lon_rad).mean()))
-    turns = np.rint((lon_rad - middle) / (2.0 * math.pi))
-    return lon_rad - 2.0 * math.pi * turns

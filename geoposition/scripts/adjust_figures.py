@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from geoposition.adjust import Adjustment, PointResults, Status
 from geoposition.arrays import FloatArray
+from geoposition.longitudes import unbroken
 from geoposition.observations import ControlPoints
 from geoposition.scripts.adjust_plan import Layout
 from geoposition.scripts.figures import COLOURS, SIGNED_MAP, STYLE, VectorPanel, png, vectors
@@ -71,7 +72,9 @@ def ground_vectors(points: PointResults, given: ControlPoints) -> bytes | None:
 
 def map_km(geodetic: FloatArray, about: FloatArray | None = None) -> FloatArray:
     """Points (n, 3) on a plane about the mean (or `about`): kilometres east and north."""
-    middle = np.mean(geodetic if about is None else about, axis=0)
+    middle = np.array(geodetic if about is None else about)
+    middle[:, 0] = unbroken(middle[:, 0])
+    middle = middle.mean(axis=0)
     off = geodetic[:, :2] - middle[:2]
     off[:, 0] = (off[:, 0] + np.pi) % (2.0 * np.pi) - np.pi
     scale = np.array([np.cos(middle[1]), 1.0]) * _EARTH_M / 1e3

@@ -153,7 +153,11 @@ def _image_points(table: ImageTable, names: ImageNames, sigma_px: float) -> TieP
             table.path, f"point {table.ids[blank[0]]}", "a column product that names its image "
             "expected: there are several images",
         )  # fmt: skip
-    product = names.numbers_of(table.path, table.names)
+    spoken = table.names
+    if len(names.files) == 1 and table.path.suffix.lower() == ".points":
+        # The name is only that of the file, and there is only one image it can mean.
+        spoken = np.full(len(table), "")
+    product = names.numbers_of(table.path, spoken)
     covariance = None
     known = np.isfinite(table.sigma_px)
     if np.any(known):

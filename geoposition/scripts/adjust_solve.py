@@ -195,9 +195,11 @@ def _explained(
         found = _found(run, models, blocks, points.control, undulation)
     except GeopositionError:
         found = ()
-    if not found:
-        return error
-    return ProductError(run.control.file, "", f"{error}; probably {found[0].message}")
+    if found:
+        return ProductError(run.control.file, "", f"{error}; probably {found[0].message}")
+    return (
+        error if isinstance(error, ProductError) else ProductError(run.control.file, "", f"{error}")
+    )
 
 
 def _left_out(

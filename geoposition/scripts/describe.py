@@ -9,6 +9,7 @@ from geoposition.ellipsoid import enu_axes, geodetic_to_ecef
 from geoposition.product import Product
 from geoposition.pushbroom import PushbroomModel
 from geoposition.rpc.model import RpcModel
+from geoposition.scripts.footprint import footprint
 from geoposition.sensor_model import SensorModel
 
 
@@ -38,16 +39,6 @@ def describe(product: Product) -> dict[str, object]:
     facts["image"] = None if product.image_path is None else str(product.image_path)
     facts["details"] = dict(product.details)
     return facts
-
-
-def footprint(model: SensorModel) -> dict[str, object]:
-    """Corners (lon, lat in degrees) at the middle of the height range, clockwise from (0, 0)."""
-    lines, samples = model.shape
-    height = float(np.mean(model.height_range_m))
-    corners = [[0, 0], [0, samples - 1], [lines - 1, samples - 1], [lines - 1, 0]]
-    ground = model.image_to_ground(np.array(corners, dtype=np.float64), height)
-    degrees = np.round(np.degrees(ground.geodetic[:, :2]), 9)
-    return {"height_m": height, "corners_lon_lat_deg": degrees.tolist()}
 
 
 def ground_sample(model: SensorModel) -> dict[str, object]:

@@ -27,6 +27,7 @@ from geoposition.dense import (
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import has_result
+from geoposition.longitudes import middle_of
 from geoposition.matching import ImageSource, MatchOptions, match_images
 from geoposition.product import Product
 from geoposition.scripts.dsm_agreement import Agreement, agree, require_own_images
@@ -39,6 +40,8 @@ from geoposition.surface import (
     Surface,
     compare_surface,
     is_geographic,
+    map_extent,
+    near_degrees,
     to_map,
 )
 from geoposition.terrain import RasterTerrain
@@ -156,7 +159,7 @@ def _written(
     """Match all tiles, write the surface and the cloud: whole or not at all."""
     tally = Tally()
     degrees = is_geographic(grid.crs)
-    middle = np.median(agreement.geodetic, axis=0)
+    middle = middle_of(agreement.geodetic)
     with ExitStack() as stack:
         target = stack.enter_context(whole_file(request.output))
         scratch = stack.enter_context(TemporaryDirectory(prefix=".dsm-", dir=request.output.parent))
@@ -169,6 +172,8 @@ def _written(
                 cloud = open_files.enter_context(PointCloud(cloud_path, grid.crs, origin))
             for points in dense_points(views, coarse, tally=tally, progress=progress):
                 place = to_map(grid.crs, points.geodetic, degrees)
+                if degrees:
+                    place = near_degrees(place, grid.west)
                 surface.add(place, points.sigma_m)
                 if cloud is not None:
                     cloud.add(place, points.sigma_m, points.grey, points.rays)
@@ -222,7 +227,7 @@ def _crs_name(crs: str) -> str:
 
 def _system(first: View, agreement: Agreement, request: Request) -> tuple[str, float]:
     """Coordinate system and cell size: as asked, else the UTM zone and the image's own."""
-    middle = np.median(agreement.geodetic, axis=0)
+    middle = middle_of(agreement.geodetic)
     crs = f"EPSG:{utm_epsg(middle[0], middle[1])}" if request.crs is None else request.crs
     crs = _crs_name(crs)
     if request.resolution is not None:
@@ -250,7 +255,7 @@ def _extent(views: Sequence[View], coarse: HeightField, crs: str) -> tuple[Float
             inside = np.all((image.image_px >= low) & (image.image_px <= high), axis=1)
             seen |= has_result(image.flag) & inside
         found.append(ground.geodetic[seen & has_result(ground.flag)])
-    place = to_map(crs, np.concatenate(found), is_geographic(crs))[:, :2]
-    if not np.isfinite(place).any():
-        raise GeometryError(f"dsm: the scene cannot be shown in {crs[:60]}")
-    return np.nanmin(place, axis=0), np.nanmax(place, axis=0)
+    try:
+        return map_extent(crs, np.concatenate(found))
+    except GeometryError as error:
+        raise GeometryError(f"dsm: {error}") from None

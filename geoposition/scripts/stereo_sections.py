@@ -10,6 +10,7 @@ import numpy as np
 from geoposition.arrays import FloatArray, IntArray
 from geoposition.ellipsoid import enu_axes
 from geoposition.flags import has_result
+from geoposition.longitudes import middle_of
 from geoposition.scripts import figures, stereo_figures
 from geoposition.scripts.describe import ground_sample
 from geoposition.scripts.report import (
@@ -103,7 +104,7 @@ def geometry_blocks(run: StereoRun) -> list[Block]:
 
 
 def _pairs(run: StereoRun, names: list[str]) -> list[tuple[str, ...]]:
-    middle = np.nanmedian(run.points.geodetic, axis=0)
+    middle = middle_of(run.points.geodetic)
     slants, sights = [], []
     rows: list[tuple[str, ...]] = []
     for model in run.models:

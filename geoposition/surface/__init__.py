@@ -9,6 +9,7 @@ from geoposition.surface.compare import (
 )
 from geoposition.surface.coregister import Shift
 from geoposition.surface.dsm import DsmGrid, Surface, is_geographic
+from geoposition.surface.map_extent import map_extent, near_degrees
 from geoposition.surface.map_points import to_map
 from geoposition.surface.point_cloud import PointCloud
 
@@ -23,5 +24,7 @@ __all__ = [
     "compare_points",
     "compare_surface",
     "is_geographic",
+    "map_extent",
+    "near_degrees",
     "to_map",
 ]

@@ -17,6 +17,7 @@ from geoposition.arrays import BoolArray, FloatArray, IntArray
 from geoposition.constants import WGS84_A_M
 from geoposition.datum import from_crs, to_crs, utm_epsg
 from geoposition.errors import ProductError
+from geoposition.longitudes import middle_of
 
 _MOST: Final = 1_000_000
 _BLOCK: Final = 1024
@@ -82,7 +83,7 @@ def point_cells(geodetic: FloatArray) -> SurfaceCells:
     """Ground points (n, 3) as cells, in the UTM zone of their middle; each stands for itself."""
     if not len(geodetic):
         return SurfaceCells("EPSG:4326", np.empty((0, 2)), np.empty(0), np.ones(2), 1.0, 1)
-    middle = np.median(geodetic, axis=0)
+    middle = middle_of(geodetic)
     crs = f"EPSG:{utm_epsg(float(middle[0]), float(middle[1]))}"
     place = to_crs(crs, geodetic)
     extent = np.ptp(place[:, :2], axis=0)

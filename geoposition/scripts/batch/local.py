@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Final
 
 from geoposition.scripts.batch.plan import Job
 from geoposition.scripts.batch.scene import Outcome, run_scene
-
-THREAD_VARIABLES: Final = (
-    "NUMBA_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "GDAL_NUM_THREADS",
-)
+from geoposition.scripts.processes import threads_each
 
 
 @dataclass(slots=True)
@@ -41,7 +33,7 @@ def run_locally(
     waiting = deque((job, 0) for job in jobs)
     tries: dict[str, int] = {}
     context = multiprocessing.get_context("spawn")
-    with _thread_limit(threads):
+    with threads_each(threads):
         pool = [_started(context) for _ in range(min(workers, len(jobs)))]
         try:
             while waiting or any(worker.job for worker in pool):
@@ -97,18 +89,3 @@ def _work(pipe: Connection) -> None:
     with suppress(EOFError, OSError, KeyboardInterrupt):
         while True:
             pipe.send(run_scene(pipe.recv()))
-
-
-@contextmanager
-def _thread_limit(threads: int) -> Iterator[None]:
-    """Set what the processes started meanwhile take as their number of threads."""
-    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

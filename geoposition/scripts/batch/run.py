@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
-
 from geoposition.scripts.batch.cluster import run_on_cluster
 from geoposition.scripts.batch.local import run_locally
 from geoposition.scripts.batch.manifest import NAME, Manifest
 from geoposition.scripts.batch.plan import Plan
+from geoposition.scripts.processes import cores
 from geoposition.scripts.results import Progress
 
 
@@ -20,9 +19,8 @@ def run(
     manifest.write()
     progress(0, len(plan.jobs))
     if scheduler is None:
-        cores = os.cpu_count() or 1
-        count = workers or plan.workers or cores
-        each = threads or max(1, cores // count)
+        count = workers or plan.workers or cores()
+        each = threads or max(1, cores() // count)
         outcomes = run_locally(plan.jobs, count, plan.retries, each)
     else:
         outcomes = run_on_cluster(plan.jobs, scheduler, plan.retries)

@@ -134,7 +134,7 @@ def read_columns(path: Path, crs: str | None) -> ControlFile:
         image = image_points(named)
     if ground is None and image is None:
         named.require(("id", "lon", "lat", "height"))
-    wide = _wide(table, named)
+    wide = wide_image_points(table, named)
     return ControlFile(ground, image if wide is None else wide)
 
 
@@ -181,7 +181,7 @@ def image_points(named: Named) -> ImageTable:
     return ImageTable(named.columns.path, named.text("id"), named.text("product"), px, spread)
 
 
-def _wide(table: Columns, named: Named) -> ImageTable | None:
+def wide_image_points(table: Columns, named: Named) -> ImageTable | None:
     """Image points in columns row_NAME, col_NAME of each image; an empty cell is no point."""
     lower = {name.strip().lower(): name for name in table.names}
     images = [

@@ -20,6 +20,7 @@ from geoposition.scripts.control_files.columns import (
     check_marks,
     image_points,
     sigmas_m,
+    wide_image_points,
 )
 from geoposition.scripts.control_files.parts import (
     WGS84,
@@ -93,7 +94,7 @@ def _image(columns: _Attributes, named: Named) -> ImageTable | None:
     if "row" in named and "col" in named:
         return image_points(named)
     if "ji" not in columns.names:
-        return None
+        return wide_image_points(columns, named)
     # Orthority's attribute: column and row of the first pixel's centre at (0, 0).
     px = np.full((len(columns), 2), np.nan)
     for i, value in enumerate(columns.table["ji"]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from geoposition.scripts.results import plain, print_json, progress_bar
@@ -17,9 +18,12 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="targets whose name holds this")
+    parser.add_argument("--guided", metavar="TARGET", help="guided by coverage, with atheris")
     parser.add_argument("--keep", type=Path, default=Path("fuzz-findings"), help="their folder")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
+    if given.guided is not None:
+        return _guided(given)
     from geoposition.scripts.fuzz import campaign, commands
 
     with progress_bar("inputs", given.json) as progress:
@@ -31,6 +35,22 @@ def main() -> int:
             tallies.append(commands.run(given.data, given.products, given.seed, progress))
             campaign.save(given.keep, tallies[-1])
     facts = campaign.summary(tallies)
+    if given.json:
+        print_json(facts)
+    else:
+        _show(facts)
+    return 1 if facts["findings"] else 0
+
+
+def _guided(given: argparse.Namespace) -> int:
+    from geoposition.errors import GeopositionError
+    from geoposition.scripts.fuzz import guided
+
+    try:
+        facts = guided.run(given.data, given.guided, given.inputs, given.seed, given.keep)
+    except GeopositionError as error:
+        print(error, file=sys.stderr)
+        return 2
     if given.json:
         print_json(facts)
     else:

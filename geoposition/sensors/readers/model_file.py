@@ -53,6 +53,7 @@ Quaternions have the scalar last. ::
     #                                  As CSM does it: the stencil narrows towards the ends
     # kind = "polynomial":             offset_s, scale_s, span_s = [from, to]; table x_m,y_m,z_m,
     #                                  ascending coefficients in (t - offset_s) / scale_s
+    # kind = "sum":                    [ephemeris.first], [ephemeris.second]: added
 
     [attitude]                         # rotation body to frame
     epoch_utc = "2020-01-31T12:00:00Z"

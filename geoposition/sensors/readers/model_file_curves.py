@@ -18,7 +18,13 @@ from geoposition.attitude import (
     continuous_unit_quaternions,
 )
 from geoposition.errors import ArgumentError
-from geoposition.interpolation import Curve, LagrangeCurve, PolynomialCurve, SplineCurve
+from geoposition.interpolation import (
+    Curve,
+    LagrangeCurve,
+    PolynomialCurve,
+    SplineCurve,
+    SumCurve,
+)
 from geoposition.sensors.readers.csm_interpolation import CsmLagrangeCurve
 from geoposition.sensors.readers.model_file_toml import TomlNode
 
@@ -27,7 +33,7 @@ RATES = ("vx_m_s", "vy_m_s", "vz_m_s")
 QUATERNION = ("q_x", "q_y", "q_z", "q_w")
 ANGLES = ("a1_rad", "a2_rad", "a3_rad")
 
-CURVES = ("lagrange", "lagrange-equal-steps", "spline", "hermite", "polynomial")
+CURVES = ("lagrange", "lagrange-equal-steps", "spline", "hermite", "polynomial", "sum")
 ROTATIONS = ("slerp", "rotation-spline", "components", "euler", "product")
 
 _UNIT_ROUNDING = 1e-15
@@ -37,6 +43,14 @@ _UNIT_ROUNDING = 1e-15
 def read_curve(node: TomlNode, columns: tuple[str, ...]) -> Curve:
     """Curve of `columns` that `node` describes."""
     kind = node.choice("kind", *CURVES)
+    if kind == "sum":
+        first, second = node.child("first"), node.child("second")
+        total = SumCurve(read_curve(first, columns), read_curve(second, columns))
+        first.finish()
+        second.finish()
+        if not total.span_s[0] < total.span_s[1]:
+            node.refuse("first", "a time span in common with second expected")
+        return total
     try:
         if kind == "lagrange":
             table = node.table("table", "t_s", *columns)

@@ -19,7 +19,13 @@ from geoposition.attitude import (
     SlerpCurve,
 )
 from geoposition.errors import GeometryError
-from geoposition.interpolation import Curve, LagrangeCurve, PolynomialCurve, SplineCurve
+from geoposition.interpolation import (
+    Curve,
+    LagrangeCurve,
+    PolynomialCurve,
+    SplineCurve,
+    SumCurve,
+)
 from geoposition.sensors.readers.csm_interpolation import CsmLagrangeCurve
 from geoposition.sensors.readers.model_file_curves import ANGLES, POSITION, QUATERNION, RATES
 from geoposition.timescale import Epoch
@@ -91,6 +97,10 @@ def curve_section(curve: Curve, columns: tuple[str, ...], part: str, tables: Tab
         slopes = hermite_slopes(curve.spline, curve.values)
         name = tables.add(part, ("t_s", *columns, *rates), curve.times_s, curve.values, slopes)
         return {"kind": "hermite", "table": name}
+    if isinstance(curve, SumCurve):
+        first = curve_section(curve.first, columns, f"{part}_first", tables)
+        second = curve_section(curve.second, columns, f"{part}_second", tables)
+        return {"kind": "sum", "first": dict(first), "second": dict(second)}
     return _dense_curve(curve, columns, part, tables)
 
 

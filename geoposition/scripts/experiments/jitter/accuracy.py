@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from geoposition.calib_fields.evaluation import Evaluation
-from geoposition.scripts.evaluate_run import evaluate_scene, write_results
-from geoposition.scripts.evaluate_settings import Settings, scenes_of
+from geoposition.scripts.evaluate_run import SceneResult, evaluate_scene, write_results
+from geoposition.scripts.evaluate_settings import ListedScene, Settings, scenes_of
 from geoposition.scripts.experiments.jitter.cases import LINE_S, Case
 
 STAGES: Final = ("before", "after")
@@ -37,17 +36,21 @@ def write_lists(folder: Path, cases: Sequence[Case]) -> None:
         (folder / f"{stage}.toml").write_text("\n".join(parts), encoding="utf-8")
 
 
-def evaluate_all(
-    folder: Path, progress: Callable[[float], None]
-) -> dict[str, tuple[Evaluation, ...]]:
-    """Evaluate both lists; write the reports `evaluation-before` and `evaluation-after`."""
-    found = {}
-    for number, stage in enumerate(STAGES):
-        listed = scenes_of(folder / f"{stage}.toml", Settings())
-        results = []
-        for k, scene in enumerate(listed):
-            results.append(evaluate_scene(scene, lambda done, total: None))
-            progress((number * len(listed) + k + 1) / (len(STAGES) * len(listed)))
-        write_results(results, folder / f"evaluation-{stage}")
-        found[stage] = tuple(result.evaluation for result in results)
-    return found
+def listed_scenes(folder: Path, number: int) -> dict[str, ListedScene]:
+    """Return the scene of that place in the lists, by stage."""
+    return {stage: scenes_of(folder / f"{stage}.toml", Settings())[number] for stage in STAGES}
+
+
+def evaluated(scenes: Mapping[str, ListedScene]) -> dict[str, SceneResult]:
+    """Match and evaluate both steady images of a scene."""
+    return {stage: evaluate_scene(scene, _silent) for stage, scene in scenes.items()}
+
+
+def write_reports(folder: Path, found: Sequence[Mapping[str, SceneResult]]) -> None:
+    """Write `evaluation-before` and `evaluation-after`, all scenes in each."""
+    for stage in STAGES:
+        write_results([scene[stage] for scene in found], folder / f"evaluation-{stage}")
+
+
+def _silent(done: int, total: int) -> None:
+    pass

@@ -42,7 +42,7 @@ class Size:
 
 
 FULL: Final = Size(30_000, 2048, 60.0)
-QUICK: Final = Size(10_000, 320, 30.0)
+QUICK: Final = Size(6000, 320, 20.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +23,6 @@ from geoposition.sensors.attitude_determination.jitter.lines import Jitter
 from geoposition.sensors.attitude_determination.signal.low_pass import low_pass
 from geoposition.sensors.readers import open_product
 
-Step = Callable[[float], None]
 """Told which share of a scene's work is done."""
 
 _FIGURE_S: Final = 0.1
@@ -71,7 +69,7 @@ class SceneResult:
 
 
 def run_scene(
-    sighting: Sighting, true: PushbroomModel, ground: Ground, folder: Path, step: Step
+    sighting: Sighting, true: PushbroomModel, ground: Ground, folder: Path
 ) -> SceneResult:
     """Write the scene's telemetry and image, fuse, find the jitter, make both steady images."""
     case = sighting.case
@@ -79,22 +77,17 @@ def run_scene(
     files.write_telemetry(sighting, telemetry)
     image = folder / "image.tif"
     files.write_models(sighting, true, folder, image)
-    step(0.1)
-    files.write_image(image, case, true, ground, lambda a, b: step(0.1 + 0.25 * a / b))
+    files.write_image(image, case, true, ground, _silent)
     fused = fuse(sighting, telemetry, folder / "fused.csv")
-    step(0.45)
     jitter, _ = attitude_jitter.search(_search(telemetry))
-    step(0.5)
-    before = _reimaged(folder, ground, None, "before", lambda a, b: step(0.5 + 0.15 * a / b))
+    before = _reimaged(folder, ground, None, "before")
     attitude = AttitudeInput(folder / "fused.csv")
-    after = _reimaged(folder, ground, attitude, "after", lambda a, b: step(0.65 + 0.15 * a / b))
-    step(0.8)
+    after = _reimaged(folder, ground, attitude, "after")
     errors = [
         _steady_error(folder, name, source, true, ground)
         for name, source in (("before", None), ("after", attitude))
     ]
     shaken_s, shaken_rad, peak_rad = _shaken(jitter)
-    step(1.0)
     return SceneResult(
         case=case,
         folder=folder,
@@ -128,9 +121,13 @@ def fuse(sighting: Sighting, telemetry: Path, output: Path) -> attitude_fusion.F
         rate_random_walk=noise.rate_random_walk,
         at=telemetry / "times.csv",
     )
-    run = attitude_fusion.fuse(sources, options, lambda done, total: None)
+    run = attitude_fusion.fuse(sources, options, _silent)
     attitude_fusion.write(output, run)
     return run
+
+
+def _silent(done: int, total: int) -> None:
+    pass
 
 
 def _search(telemetry: Path) -> attitude_jitter.Request:
@@ -153,7 +150,6 @@ def _reimaged(
     ground: Ground,
     attitude: AttitudeInput | None,
     name: str,
-    progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
     request = reimage_run.Request(
         image=folder / "image.tif",
@@ -162,7 +158,7 @@ def _reimaged(
         dem=ground.dem,
         report=False,
     )
-    return dict(reimage_run.run(open_product(folder / "onboard.toml"), request, progress))
+    return dict(reimage_run.run(open_product(folder / "onboard.toml"), request, _silent))
 
 
 def _steady_error(

@@ -6,12 +6,9 @@ nor on which process makes it.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Final
 
 import numpy as np
@@ -43,6 +40,7 @@ from geoposition.scripts.experiments.thesis.telemetry import (
     draw,
     zy3_heads,
 )
+from geoposition.scripts.processes import cores, process_pool
 from geoposition.sensors.simulate import ARCSEC_RAD, zy3_cameras
 
 BIAS_MODEL: Final[BiasModel] = "constant"
@@ -52,7 +50,6 @@ OTHERS_SHARE: Final = 4
 
 _CHUNK: Final = 5
 _PROBES: Final = 41
-_SINGLE_THREAD: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,13 +107,7 @@ def simulate(
     processes: int | None = None,
 ) -> Numerical:
     """Run all `runs` on `processes` processes (as many as there are processors)."""
-    with (
-        _single_threaded(),
-        ProcessPoolExecutor(
-            min(processes or os.cpu_count() or 1, -(-runs // _CHUNK)),
-            mp_context=get_context("spawn"),
-        ) as pool,
-    ):
+    with process_pool(min(processes or cores(), -(-runs // _CHUNK))) as pool:
         setting = pool.submit(_setting, seed).result()
         others = max(runs // OTHERS_SHARE, 1)
         chunks = [
@@ -204,18 +195,3 @@ def _run_chunk(chunk: _Chunk) -> dict[int, RunResult]:
     scene = pair_scene(chunk.seed)
     streams = np.random.SeedSequence([chunk.seed, 2]).spawn(chunk.runs.stop)
     return {k: one_run(scene, chunk.plan, streams[k], k < chunk.others) for k in chunk.runs}
-
-
-@contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Give processes started within one thread each: small solutions are slower with more."""
-    before = {name: os.environ.get(name) for name in _SINGLE_THREAD}
-    os.environ.update(dict.fromkeys(_SINGLE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
