@@ -398,3 +398,26 @@ def test_parquet_names_the_row(tmp_path: Path) -> None:
     pq.write_table(pa.table({"t_s": [0.0, 1.0], **columns, "q_w": [1.0, None]}), path)
     with pytest.raises(ProductError, match="row 2, column q_w"):
         read_star(path)
+
+
+# Samples that were made -----------------------------------------------------------------------
+
+
+def test_made_samples_are_left_out_and_counted(tmp_path: Path) -> None:
+    quat = TRUTH.as_quat()
+    labels = ["ok", "Gap", "outlier_replaced", "ok", "good"]
+    rows = [
+        ",".join([*(repr(float(c)) for c in (t, *q)), label])
+        for t, q, label in zip(TIMES, quat, labels, strict=True)
+    ]
+    path = tmp_path / "clean.csv"
+    path.write_text("\n".join(["t_s,q_x,q_y,q_z,q_w,flag", *rows]) + "\n")
+    found = read_star(path)
+    assert found.made == 2
+    np.testing.assert_array_equal(found.series.times_s, TIMES[[0, 3, 4]])
+    same_rotation(found.series.R_inertial_sensor, TRUTH[[0, 3, 4]])
+    path.write_text(
+        "\n".join(["t_s,q_x,q_y,q_z,q_w,flag", *(r for r in rows if "Gap" in r)]) + "\n"
+    )
+    with pytest.raises(ProductError, match="measured samples expected"):
+        read_star(path)

@@ -9,14 +9,13 @@ from pathlib import Path
 import erfa
 import numpy as np
 import pytest
+import scenes
 import shapely
 from scenes import Orbit, Scene, build
 
-from geoposition.attitude import Attitude
 from geoposition.calib_fields.synthetic import synthetic_terrain
 from geoposition.datum import to_crs
 from geoposition.ellipsoid import geodetic_to_ecef
-from geoposition.ephemeris import Ephemeris
 from geoposition.error_budget import image_budget
 from geoposition.errors import EarthOrientationError, GeometryError, GeopositionError
 from geoposition.flags import Flag
@@ -30,7 +29,6 @@ from geoposition.reimage.ortho_grid import OrthoGrid
 from geoposition.rpc.fit import fit_model
 from geoposition.scripts.cli import run
 from geoposition.scripts.footprint import footprint
-from geoposition.sensors.timing import ConstantLineRate
 from geoposition.sensors.writers.model_file import write_model_file
 from geoposition.surface import map_extent, near_degrees
 from geoposition.terrain import ConstantTerrain, RasterTerrain
@@ -47,9 +45,7 @@ def pole(lat_deg: float, **more: float) -> Scene:
 
 SCENES = {
     "nadir": lambda: build(SHAPE),
-    "latitude 82, inclination 97.8": lambda: build(
-        SHAPE, orbit=Orbit.over(0.5, np.radians(82.15))
-    ),
+    "latitude 82, inclination 97.8": lambda: build(SHAPE, orbit=Orbit.over(0.5, np.radians(82.15))),
     "towards the pole from inclination 97.8": lambda: build(
         SHAPE, orbit=Orbit.over(0.5, np.radians(82.1)), roll_deg=-50.0
     ),
@@ -67,7 +63,10 @@ SCENES = {
     "one column": lambda: build((700, 1)),
     "one pixel": lambda: build((1, 1)),
 }
-REFUSED_BY_RPC = {"across the north pole": "around a pole", "across the south pole": "around a pole"}
+REFUSED_BY_RPC = {
+    "across the north pole": "around a pole",
+    "across the south pole": "around a pole",
+}
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +79,9 @@ def named(request: pytest.FixtureRequest, scenes_by_name: dict[str, PushbroomMod
     return request.param, scenes_by_name[request.param]
 
 
-def grid(shape: tuple[int, int], heights_m: tuple[float, ...], n: int = 9) -> tuple[np.ndarray, ...]:
+def grid(
+    shape: tuple[int, int], heights_m: tuple[float, ...], n: int = 9
+) -> tuple[np.ndarray, ...]:
     axes = [np.linspace(0.0, size - 1.0, n) for size in shape]
     line, sample, height = np.meshgrid(*axes, heights_m, indexing="ij")
     return np.stack([line, sample], axis=-1), height
@@ -222,33 +223,28 @@ def test_leap_seconds_and_year_ends_last_what_they_last(
     assert duration == pytest.approx(seconds_of_erfa(*calendar), abs=1e-4)
 
 
-def test_a_scene_over_a_leap_second_is_a_scene_like_any_other(tmp_path: Path) -> None:
-    """Line times, geometry and the model's file know nothing of it; names of instants do."""
-    scene = build(SHAPE)
-    leap = Epoch.from_utc("2016-12-31T23:59:60Z")
-    timing = scene.camera.timing
-    assert isinstance(timing, ConstantLineRate)
-    moved = PushbroomModel(
-        type(scene.camera)(
-            SHAPE[0],
-            ConstantLineRate(leap, timing.first_line_s, timing.line_period_s),
-            scene.camera.detectors,
-            scene.camera.mounting,
-        ),
-        Ephemeris(leap, scene.ephemeris.curve, scene.ephemeris.frame),
-        Attitude(leap, scene.attitude.curve, scene.attitude.frame),
-        scene.corrections,
-        scene.height_range_m,
-    )
+def test_a_scene_over_a_leap_second_is_a_scene_like_any_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Line times and geometry know nothing of it; the names of instants do."""
+    usual = build(SHAPE).model()
+    monkeypatch.setattr(scenes, "EPOCH", Epoch.from_utc("2016-12-31T23:59:60Z"))
+    leap = build(SHAPE).model()
     image, height = grid(SHAPE, (0.0, 9000.0), 4)
     np.testing.assert_allclose(
-        moved.image_to_ground(image, height).geodetic,
-        scene.model().image_to_ground(image, height).geodetic,
+        leap.image_to_ground(image, height).geodetic,
+        usual.image_to_ground(image, height).geodetic,
         rtol=0,
         atol=1e-15,
     )
-    write_model_file(moved, tmp_path / "leap.toml")
+    write_model_file(leap, tmp_path / "leap.toml")
     assert run(["info", str(tmp_path / "leap.toml"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    # t = 0 is the middle: the scene begins within second 59 and ends within second 60
+    assert facts["first_line_utc"].startswith("2016-12-31T23:59:59.9")
+    assert facts["last_line_utc"].startswith("2016-12-31T23:59:60.0")
+    lasts = Epoch.from_utc(facts["last_line_utc"]) - Epoch.from_utc(facts["first_line_utc"])
+    assert lasts == pytest.approx(facts["line_period_s"] * (SHAPE[0] - 1), abs=2e-6)
 
 
 def test_times_outside_the_earths_tables_are_refused() -> None:
@@ -373,7 +369,7 @@ def test_maps_go_on_beyond_the_antimeridian_or_are_refused(
     polar = scenes_by_name["across the north pole"]
     assert max(OrthoGrid.around(polar, flat, "EPSG:3413", 2.0).shape) < 2000
     for crs in ("EPSG:4326", "EPSG:3857"):
-        with pytest.raises(GeopositionError, match="pole|breaks|too many"):
+        with pytest.raises(GeopositionError, match=r"pole|breaks|too many"):
             OrthoGrid.around(polar, flat, crs, 2.0 if crs.endswith("57") else 1e-5)
 
 
@@ -402,7 +398,8 @@ def test_terrain_across_the_antimeridian(tmp_path: Path, west_of: float) -> None
     ground = locate(model, image, terrain)
     assert (ground.flag == Flag.OK).all()
     lon_deg = np.degrees(ground.geodetic[..., 0])
-    assert lon_deg.min() < -179.0 and lon_deg.max() > 179.0
+    assert lon_deg.min() < -179.0
+    assert lon_deg.max() > 179.0
     under = terrain.height_at(ground.geodetic)
     assert np.abs(under.height_m - ground.geodetic[..., 2]).max() < 1e-3
     assert np.abs(model.ground_to_image(ground.geodetic).image_px - image).max() <= 1e-6

@@ -187,7 +187,9 @@ XML_SEEDS = [
 @pytest.mark.parametrize("attack", [BOMB, OUTSIDE], ids=["bomb", "outside"])
 @pytest.mark.parametrize("seed", XML_SEEDS, ids=lambda each: each[0])
 def test_entities_are_refused_by_every_xml_reader(
-    seed: tuple, attack: str, tmp_path: Path  # type: ignore[type-arg]
+    seed: tuple,
+    attack: str,
+    tmp_path: Path,  # type: ignore[type-arg]
 ) -> None:
     _, read, good = seed
     text = good.files[good.main].decode()

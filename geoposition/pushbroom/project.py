@@ -71,6 +71,7 @@ from geoposition.pushbroom.lanes import (
     pixel_flag,
 )
 
+
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def _newton(n: int, w: FloatArray, aberration: float, light_time: float) -> None:
     """One Newton step towards the image points of the ground points: `DLINE`, `DSAMPLE`.

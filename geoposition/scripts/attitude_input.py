@@ -63,6 +63,8 @@ def load(sources: Sources) -> Telemetry:
     if sources.star_sigma_arcsec is not None:
         star, stated = _with_sigma(star, sources.star_sigma_arcsec), True
     facts |= mounting_facts(installed)
+    if table.made:
+        facts["made_samples_left_out"] = table.made
     gyro = None
     if sources.gyro is not None:
         gyro_map = columns

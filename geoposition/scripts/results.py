@@ -45,16 +45,29 @@ def print_facts(title: str, facts: Mapping[str, object]) -> None:
     table.add_column(style="bold")
     table.add_column(overflow="fold")
     for name, value in facts.items():
-        table.add_row(name, _words(value))
+        if not _empty(value):
+            table.add_row(name, _words(value))
     Console().print(table)
+
+
+def _empty(value: object) -> bool:
+    """Whether there is nothing to say: no value, no entries, or classes that count none."""
+    if isinstance(value, Mapping):
+        return value.get("count") == 0 or all(_empty(item) for item in value.values())
+    return value is None or (isinstance(value, (list, tuple)) and all(map(_empty, value)))
 
 
 def _words(value: object) -> str:
     if isinstance(value, Mapping):
-        return "\n".join(f"{name}: {_words(item)}" for name, item in value.items())
+        parts = [f"{name}: {_words(item)}" for name, item in value.items() if not _empty(item)]
+        return "\n".join(parts)
     if isinstance(value, (float, np.floating)):
         return f"{value:.10g}"
     if isinstance(value, (list, tuple)):
+        if any(isinstance(item, Mapping) for item in value):
+            # One line for each of several like things.
+            lines = (_words(item).replace("\n", ", ") for item in value if not _empty(item))
+            return "\n".join(lines)
         return ", ".join(_words(item) for item in value)
     return str(value)
 

@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import random
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from types import FunctionType
@@ -26,8 +26,8 @@ _CORPUS, _INPUT, _SUMMARY = "corpus", "input", "summary.json"
 def run(data: Path | None, name: str, inputs: int, seed: int, keep: Path) -> dict[str, object]:
     """Feed `inputs` to the targets whose name holds `name`, guided by the code they reach.
 
-    An input's first byte chooses one of the targets' seeds, whose main file the rest is; half
-    of the new inputs are made by `mutations`, half by libFuzzer. Returns facts fit for JSON.
+    An input's first byte chooses one of the targets' seeds, whose main file the rest is. New
+    inputs are made by `mutations` of those that reached new code. Returns facts fit for JSON.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def run(data: Path | None, name: str, inputs: int, seed: int, keep: Path) -> dic
 
 
 def _fuzz(data: Path | None, name: str, inputs: int, seed: int, keep: Path) -> None:
-    import atheris  # type: ignore[import-not-found, unused-ignore]
+    import atheris
 
     for function in _functions():
         atheris.instrument_func(function)
@@ -79,20 +79,14 @@ def _fuzz(data: Path | None, name: str, inputs: int, seed: int, keep: Path) -> N
             (place / _SUMMARY).write_text(json.dumps(summary(list(tallies.values()))))
             os._exit(0)
 
-    options = [f"-seed={seed}", f"-max_len={_LONGEST}", "-verbosity=0"]
+    options = [f"-seed={seed}", f"-max_len={_LONGEST}", "-verbosity=0", "-mutate_depth=1"]
     corpus = str(place / _CORPUS)
-    atheris.Setup(["fuzz", corpus, *options], one, custom_mutator=_mutator(atheris.Mutate))
+    atheris.Setup(["fuzz", corpus, *options], one, custom_mutator=_mutated)
     atheris.Fuzz()
 
 
-def _mutator(native: Callable[[bytes, int], bytes]) -> Callable[[bytes, int, int], bytes]:
-    def mutator(content: bytes, longest: int, seed: int) -> bytes:
-        rng = random.Random(seed)
-        if rng.random() < 0.5 or not content:
-            return bytes(native(content, longest))
-        return (content[:1] + mutate(content[1:], rng))[:longest]
-
-    return mutator
+def _mutated(content: bytes, longest: int, seed: int) -> bytes:
+    return (content[:1] + mutate(content[1:], random.Random(seed)))[:longest]
 
 
 def _functions() -> Iterator[FunctionType]:

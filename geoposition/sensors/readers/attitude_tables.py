@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geoposition.arrays import FloatArray, IntArray
+from geoposition.arrays import BoolArray, FloatArray, IntArray
 from geoposition.errors import ArgumentError, ProductError
 from geoposition.sensors.readers.attitude_columns import ColumnMap, GyroColumns
 from geoposition.sensors.readers.mounting_file import GYRO
@@ -24,6 +24,8 @@ from geoposition.sensors.telemetry import GyroSeries, Mounting, StarSeries
 from geoposition.timescale import Epoch
 
 PLAIN: Final = ColumnMap()
+MADE_FLAGS: Final = ("broken", "outlier_replaced", "gap")
+"""Flags of `attitude preprocess` for samples that stand in the place of lost ones."""
 UNKNOWN_SIGMA_RAD: Final = float(np.radians(5.0 / 3600.0))
 """Stands for the noise of star samples whose table does not state it."""
 _UNIT_TOLERANCE: Final = 1e-3
@@ -60,6 +62,7 @@ class StarTable:
     series: StarSeries
     sigma_stated: bool
     epoch: Epoch | None = None
+    made: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +106,9 @@ def read_raw_star(
 def read_star(path: Path, columns: ColumnMap = PLAIN, epoch: Epoch | None = None) -> StarTable:
     """Read a STAR table; NaN, what is no unit quaternion, or a time that goes back is refused.
 
-    Heads may follow each other in the file; the series is in the order of time.
+    Heads may follow each other in the file; the series is in the order of time. Samples that a
+    column `flag` says were made from their neighbours (`MADE_FLAGS`) are no measurements: they
+    are left out, and counted in `made`.
     """
     raw = read_raw_star(path, columns, epoch, strict=True)
     if not np.all(np.isfinite(raw.quat_xyzw)):
@@ -123,6 +128,10 @@ def read_star(path: Path, columns: ColumnMap = PLAIN, epoch: Epoch | None = None
     cross = raw.sigma_cross_rad if raw.sigma_stated else np.full(len(norm), UNKNOWN_SIGMA_RAD)
     bore = raw.sigma_bore_rad if raw.sigma_stated else cross
     order = np.argsort(raw.times_s, kind="stable")
+    made = _made(raw.table)
+    order = order[~made[order]]
+    if not len(order):
+        raise ProductError(path, "column flag", "measured samples expected, all are made")
     try:
         series = StarSeries.of(
             raw.times_s[order], raw.quat_xyzw[order], cross[order], bore[order],
@@ -130,7 +139,14 @@ def read_star(path: Path, columns: ColumnMap = PLAIN, epoch: Epoch | None = None
         )  # fmt: skip
     except ArgumentError as error:
         raise ProductError(path, "", str(error)) from None
-    return StarTable(series, raw.sigma_stated, raw.epoch)
+    return StarTable(series, raw.sigma_stated, raw.epoch, int(made.sum()))
+
+
+def _made(table: TableFile) -> BoolArray:
+    """Rows whose `flag` says that they were made, not measured."""
+    if "flag" not in table.names:
+        return np.zeros(len(table), dtype=np.bool_)
+    return np.isin(np.char.lower(table.text("flag")), MADE_FLAGS)
 
 
 def read_gyro(
