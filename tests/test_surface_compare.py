@@ -55,7 +55,7 @@ def raster(
 def test_a_shift_is_found(tmp_path: Path, shift: tuple[float, float, float]) -> None:
     reference = raster(tmp_path / "ref.tif", 500, 1.0)
     surface = raster(tmp_path / "dsm.tif", 380, 1.0, shift, noise=0.3, west=WEST + 60, bands=3)
-    found = compare_surface(surface, reference)
+    found = compare_surface(surface, RasterTerrain(reference))
     assert found.differences.shift is not None
     assert found.differences.after is not None
     np.testing.assert_allclose(found.differences.shift.enu_m, shift, atol=0.05)
@@ -69,7 +69,7 @@ def test_a_shift_is_found(tmp_path: Path, shift: tuple[float, float, float]) -> 
 def test_offset_tilt_and_classes(tmp_path: Path) -> None:
     reference = raster(tmp_path / "ref.tif", 400, 1.0)
     surface = raster(tmp_path / "dsm.tif", 400, 1.0, (0, 0, 1.5), tilt=(3e-3, 4e-3))
-    found = compare_surface(surface, reference)
+    found = compare_surface(surface, RasterTerrain(reference))
     assert found.differences.tilt_mm_per_m == pytest.approx(5.0, rel=0.02)
     assert found.differences.tilt_azimuth_deg == pytest.approx(
         np.degrees(np.arctan2(3, 4)), abs=1.0
@@ -86,7 +86,7 @@ def test_a_shift_shows_by_aspect(tmp_path: Path) -> None:
     surface = raster(tmp_path / "dsm.tif", 400, 1.0, (2.0, 0.0, 0.0))
     medians = {
         part.name: part.median_m
-        for part in compare_surface(surface, reference).differences.by_aspect
+        for part in compare_surface(surface, RasterTerrain(reference)).differences.by_aspect
     }
     assert medians["E"] > 0.4
     assert medians["W"] < -0.4
@@ -105,7 +105,7 @@ def test_a_coarse_reference_is_compared_with_means(tmp_path: Path) -> None:
     }  # fmt: skip
     with rasterio.open(coarse, "w", **profile) as out:
         out.write(height.astype(np.float32), 1)
-    found = compare_surface(fine, coarse)
+    found = compare_surface(fine, RasterTerrain(coarse))
     assert found.by_reference_cell is not None
     assert found.by_reference_cell.count >= 64
     assert found.by_reference_cell.rmse < 0.01
@@ -123,7 +123,7 @@ def test_flat_ground_tells_no_shift(tmp_path: Path) -> None:
         paths.append(tmp_path / name)
         with rasterio.open(paths[-1], "w", **profile) as out:
             out.write((level + 0.002 * np.sin(i + j)).astype(np.float32), 1)
-    found = compare_surface(paths[1], paths[0])
+    found = compare_surface(paths[1], RasterTerrain(paths[0]))
     assert found.differences.shift is None
     assert found.differences.after is None
     assert found.differences.before.median == pytest.approx(0.7, abs=1e-3)
@@ -133,11 +133,11 @@ def test_a_reference_elsewhere_is_refused(tmp_path: Path) -> None:
     reference = raster(tmp_path / "ref.tif", 100, 1.0, west=WEST + 50_000)
     surface = raster(tmp_path / "dsm.tif", 100, 1.0)
     with pytest.raises(GeometryError, match="no heights where"):
-        compare_surface(surface, reference)
+        compare_surface(surface, RasterTerrain(reference))
     bare = tmp_path / "bare.tif"
     bare.write_bytes(b"not a raster")
     with pytest.raises(ProductError):
-        compare_surface(bare, surface)
+        compare_surface(bare, RasterTerrain(surface))
 
 
 def test_points_show_the_same_shift_as_a_surface(tmp_path: Path) -> None:

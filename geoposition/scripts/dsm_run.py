@@ -89,7 +89,7 @@ def run(
     ties = match_images(sources, models, options, progress)
     agreement = agree(models, ties)
     require_own_images(products, models, ties, agreement)
-    _require_reference(request, agreement)
+    reference = _reference(request, agreement)
     matching = shifted_models(models, agreement.shifts_px)
     views = [
         View(source, mended if request.remove_bias else model, mended)
@@ -109,7 +109,7 @@ def run(
         "relative_bias_px": _biases(agreement, request.remove_bias),
         "residual_px": dict(zip(("as_is", "bias_removed"), agreement.residual_px, strict=True)),
     }
-    facts |= _written(views, coarse, grid, agreement, request, facts, progress)
+    facts |= _written(views, coarse, grid, agreement, request, reference, facts, progress)
     facts["seconds"] = {
         "ties_and_coarse": round(matched - begin, 2),
         "dense_to_surface": round(perf_counter() - matched, 2),
@@ -117,14 +117,16 @@ def run(
     return facts | {"output": str(request.output)}
 
 
-def _require_reference(request: Request, agreement: Agreement) -> None:
-    """Refuse a reference that lies elsewhere before the long work begins."""
-    if request.reference is not None:
-        found = RasterTerrain(request.reference, request.geoid).height_at(agreement.geodetic)
-        if not has_result(found.flag).any():
-            raise GeometryError(
-                f"{request.reference}: the reference has no heights where the images are"
-            )
+def _reference(request: Request, agreement: Agreement) -> RasterTerrain | None:
+    """Open the reference; one that lies elsewhere is refused before the long work begins."""
+    if request.reference is None:
+        return None
+    terrain = RasterTerrain(request.reference, request.geoid)
+    if not has_result(terrain.height_at(agreement.geodetic).flag).any():
+        raise GeometryError(
+            f"{request.reference}: the reference has no heights where the images are"
+        )
+    return terrain
 
 
 def starting_field(first: View, agreement: Agreement, request: Request) -> HeightField:
@@ -153,6 +155,7 @@ def _written(
     grid: DsmGrid,
     agreement: Agreement,
     request: Request,
+    reference: RasterTerrain | None,
     facts: dict[str, object],
     progress: Progress,
 ) -> dict[str, object]:
@@ -181,8 +184,8 @@ def _written(
             raise GeometryError("dsm: no pixel of the images could be matched")
         surface.write(target, fill=request.fill, tags=_tags(facts))
         comparison = None
-        if request.reference is not None:
-            comparison = compare_surface(target, request.reference, request.geoid).as_dict()
+        if reference is not None:
+            comparison = compare_surface(target, reference).as_dict()
     top, left, bottom, right = surface.bounds
     return {
         "crs": grid.crs,

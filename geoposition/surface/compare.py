@@ -105,24 +105,18 @@ class SurfaceComparison:
         }
 
 
-def compare_surface(
-    surface: str | PathLike[str],
-    reference: str | PathLike[str],
-    geoid: str | PathLike[str] | None = None,
-) -> SurfaceComparison:
-    """Compare the first band of the raster `surface` with the raster of heights `reference`.
+def compare_surface(surface: str | PathLike[str], reference: RasterTerrain) -> SurfaceComparison:
+    """Compare the first band of the raster `surface` with a raster of heights.
 
     Heights of `surface` are ellipsoidal and its system is a projected one in metres or one in
-    degrees; those of `reference` become ellipsoidal with `geoid`, if one is named. A
-    `GeometryError` where the two have no ground in common.
+    degrees. A `GeometryError` where the two have no ground in common.
     """
-    terrain = RasterTerrain(reference, geoid)
     cells = surface_cells(surface)
-    cover, spacing_m = reference_cover(surface, reference)
+    cover, spacing_m = reference_cover(surface, reference.name)
     slope_step_m = max(spacing_m, cells.spacing_m)
     return SurfaceComparison(
-        _compared(cells, terrain, spacing_m, slope_step_m),
-        _by_reference_cell(reference, terrain, cells, spacing_m),
+        _compared(cells, reference, spacing_m, slope_step_m),
+        _by_reference_cell(reference.name, reference, cells, spacing_m),
         cover,
         cells.stride,
     )
