@@ -215,6 +215,12 @@ def test_every_command_has_help_with_an_example(
     assert f"geoposition {name}" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", ["evaluate", "calibrate", "adjust"])
+def test_help_shows_the_names_of_tables(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([name, "--help"]) == 0
+    assert ("[[image]]" if name == "adjust" else "[[scene]]") in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("name", ["compare", "convert"])
 def test_every_rpc_command_has_help_with_an_example(
     name: str, capsys: pytest.CaptureFixture[str]

@@ -122,6 +122,16 @@ def test_vector_layers(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(found.ground.sigma_m[:, 2], [0.1, 0.2, 0.3])
 
 
+def test_vector_layers_with_columns_for_each_image(tmp_path: Path) -> None:
+    columns = {"id": np.array(IDS), "lon": LON, "lat": LAT, "height": HEIGHT, "row_left": ROW,
+               "col_left": COL}  # fmt: skip
+    write_points(tmp_path / "g.geojson", columns)
+    image = read_control_file(tmp_path / "g.geojson").image
+    assert image is not None
+    assert set(image.names.tolist()) == {"left"}
+    np.testing.assert_allclose(image.image_px, np.column_stack([ROW, COL]))
+
+
 def test_geojson_as_orthority_writes_it(tmp_path: Path) -> None:
     features = [
         {

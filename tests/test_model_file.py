@@ -23,7 +23,7 @@ from geoposition.corrections import ALL_CORRECTIONS, Corrections, Refraction
 from geoposition.ephemeris import Ephemeris
 from geoposition.errors import ArgumentError, MissingFileError, ProductError
 from geoposition.frames import R_itrs_gcrs
-from geoposition.interpolation import LagrangeCurve, PolynomialCurve, SplineCurve
+from geoposition.interpolation import LagrangeCurve, PolynomialCurve, SplineCurve, SumCurve
 from geoposition.pushbroom import PushbroomModel
 from geoposition.sensors.directions import (
     CollinearDirections,
@@ -82,6 +82,13 @@ EXACT = {
     "lagrange orbit": orbit_as(LagrangeCurve(TIMES, POSITION, 7)),
     "spline orbit": orbit_as(SplineCurve.through(TIMES, POSITION)),
     "polynomial orbit": orbit_as(PolynomialCurve.fit(TIMES, POSITION, 6)),
+    # As an adjusted orbit is; noise in the samples makes it too rough for a dense table.
+    "corrected orbit": orbit_as(
+        SumCurve(
+            LagrangeCurve(TIMES, POSITION + 0.05 * (-1.0) ** np.arange(len(TIMES))[:, None], 8),
+            PolynomialCurve(np.array([[1.0, 2.0, 3.0], [0.1, 0.0, -0.1]]), 2.0, 1.0, (0.0, 6.0)),
+        )
+    ),
     "line table": {"timing": LineTimeTable(EPOCH, [0.0, 999.5, 3999.0], [1.0, 2.0, 5.0001])},
     "reverse scan": {"timing": ConstantLineRate(EPOCH + 0.25, 4.75, -1e-3)},
     "angles": {
