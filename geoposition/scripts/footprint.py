@@ -78,6 +78,7 @@ def _rings(lon: FloatArray, lat: FloatArray) -> list[FloatArray] | None:
         world = shapely.box(_TURN_DEG * k - 180.0, -90.0, _TURN_DEG * k + 180.0, 90.0)
         part = shapely.intersection(shape, world)
         parts.append(shapely.transform(part, lambda xy, k=k: xy - [_TURN_DEG * k, 0.0]))
-    whole = shapely.get_parts(shapely.union_all(parts))
+    # On a grid as fine as what is written, so that a seam closes in spite of rounding.
+    whole = shapely.get_parts(shapely.union_all(parts, grid_size=1e-9))
     rings = [shapely.get_coordinates(orient(part)) for part in whole if part.geom_type == "Polygon"]
     return rings or None

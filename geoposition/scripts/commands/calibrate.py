@@ -59,13 +59,13 @@ def command(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Calibrate a camera's look angles and mounting on known ground.
+    r"""Calibrate a camera's look angles and mounting on known ground.
 
     Writes camera.toml (look angles by CCD and mounting, for any scene of the camera), for each
     scene its model with this camera (model_01.toml) and with its own attitude bias compensated
     too, calibration.json, report.html and residuals. From one scene the mounting cannot be told
     from a bias of its attitude, several scenes tell them apart: the report says what is
-    determined. A list RUN.toml holds [\\[scene]] tables as for evaluate, with hold_out = true for
+    determined. A list RUN.toml holds [\[scene]] tables as for evaluate, with hold_out = true for
     scenes that only check. With --camera and without --dom the camera is put into the products'
     models, nothing is estimated.
 

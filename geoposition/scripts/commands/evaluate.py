@@ -59,15 +59,15 @@ def command(
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Match an image with a reference orthophoto and say how accurate it is.
+    r"""Match an image with a reference orthophoto and say how accurate it is.
 
     Writes evaluation.json, report.html and matches.gpkg into the folder. The bias is what brings
     the image onto the reference (reference less located); x runs along the track, y across it.
     Without --geoid the DEM's heights are taken as ellipsoidal, and refused where the DEM says
     otherwise. With --points the heights of a stereo intersection are compared with the DEM: bias,
-    RMSE and LE90. A list RUN.toml holds [\\[scene]]
+    RMSE and LE90. A list RUN.toml holds [\[scene]]
     tables with product, image, date, region, side_swing_deg and any of the options above, and a
-    table \\[defaults] with what they share.
+    table \[defaults] with what they share.
 
     Example: geoposition evaluate image.tif --dom dom.tif --dem dem.tif --geoid egm96.gtx -o out
     """
