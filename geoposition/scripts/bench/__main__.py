@@ -26,7 +26,7 @@ from geoposition.scripts.bench.measure import CaseResult, Spread, best_rate, mea
 from geoposition.scripts.tables import check_output, whole_file
 from geoposition.sensors.readers import open_product
 
-_GROUPS = ("rigorous", "rpc", "fusion", "dom_match", "reimage", "growth", "times")
+_GROUPS = ("rigorous", "rpc", "fusion", "adjustment", "dom_match", "reimage", "growth", "times")
 
 
 def bench(
