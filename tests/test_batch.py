@@ -83,10 +83,10 @@ def done_once(output: Path) -> bool:
 
 @pytest.fixture(scope="module")
 def alone(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What the scenes give one by one."""
+    """What the scenes give one by one, with one thread: more add in another order."""
     output = tmp_path_factory.mktemp("alone")
-    for job in plan_of(folder, output).jobs:
-        assert run_scene(job).status == "done"
+    for outcome, _ in run_locally(plan_of(folder, output).jobs, 1, retries=0, threads=1):
+        assert outcome.status == "done"
     found = sums(output)
     assert len(found) == 6 * SCENES
     return found
@@ -114,7 +114,8 @@ def test_a_killed_worker_loses_no_scene(
 def test_a_killed_driver_is_taken_up_again(
     folder: Path, tmp_path: Path, alone: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["batch", str(folder / "RUN.toml"), "-o", str(tmp_path), "--workers", "1", "--json"]
+    words = ["batch", str(folder / "RUN.toml"), "-o", str(tmp_path), "--workers", "1"]
+    words += ["--threads", "1", "--json"]
     driver = subprocess.Popen([sys.executable, "-m", "geoposition.scripts", *words])
     deadline = time.monotonic() + 60.0
     while not list(tmp_path.glob("s*/scene.json")):
