@@ -25,7 +25,7 @@ DEFAULT_BOUND_PX: Final = 0.005
 
 _SEARCH_ROWS: Final = 65
 _CHECK_EVERY: Final = 16
-_LEAST_STEP: Final = 4
+_LEAST_STEP: Final = 1
 _STEP_AT_HOLES: Final = 32
 """A node without a place costs the cells on both sides: they are small where there are some."""
 _HEIGHT_STEP_M: Final = 100.0
