@@ -33,9 +33,9 @@ IMAGES: Final = 50
 TIES: Final = 1_000_000
 TARGET_S: Final = 60.0
 TARGET_GIB: Final = 4.0
-_STEP_DEG: Final = 0.45
-"""From one strip to the next; a strip is some 52 km wide, so that they overlap by a fifth."""
-_ROW_DEG: Final = 0.42
+_STEP_DEG: Final = 0.51
+"""From one strip to the next; a strip is some 52 km wide, so that they overlap by a tenth."""
+_ROW_DEG: Final = 0.47
 _COLUMNS: Final = 8
 
 
