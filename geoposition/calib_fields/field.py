@@ -25,7 +25,6 @@ file = "gcps.csv"                     # id,lon,lat,height
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -33,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from geoposition.errors import MissingFileError, ProductError
+from geoposition.tomlfile import read_toml
 
 FIELD_FILE = "field.toml"
 
@@ -90,10 +90,7 @@ def load_field(path: str | PathLike[str]) -> Field:
         file = file / FIELD_FILE
     if not file.is_file():
         raise MissingFileError(file, "", "a calibration field's field.toml expected")
-    try:
-        root = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ProductError(file, "", f"TOML expected: {error}") from None
+    root = read_toml(file).data
     dom, dem, gcps = (_table(file, root, name) for name in ("dom", "dem", "gcps"))
     return Field(
         name=_text(file, root, "name", file.parent.name),

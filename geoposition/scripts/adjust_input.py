@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Final, Literal
 
@@ -34,6 +33,7 @@ from geoposition.scripts.adjust_request import (
     UnknownInput,
 )
 from geoposition.scripts.adjust_schema import TABLES, Node
+from geoposition.tomlfile import read_toml
 
 CONTROL_SIGMA_M: Final = 0.1
 IMAGE_SIGMA_PX: Final = 0.5
@@ -44,11 +44,7 @@ def read_run(path: Path) -> RunInput:
     """Read RUN.toml; whatever is wrong in it is a `ProductError` that names it."""
     if not path.is_file():
         raise MissingFileError(path, "", "a RUN.toml expected, there is no such file")
-    try:
-        root = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ProductError(path, "", f"TOML expected: {error}") from None
-    node = Node(path, "", root).known(TABLES)
+    node = Node(path, "", read_toml(path).data).known(TABLES)
     images = tuple(node.tables("image", lambda table: _image(table.known(IMAGE))))
     if not images:
         raise ProductError(path, "[[image]]", "one or more images expected")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any, Final
 
 from geoposition.calib_fields.field import load_field
 from geoposition.errors import ArgumentError, ProductError
+from geoposition.tomlfile import read_toml
 
 SCENE_FACTS: Final = ("name", "date", "region", "side_swing_deg")
 """Keys of a scene in a list that are told in the report and change nothing."""
@@ -74,10 +74,7 @@ class ListedScene:
 def scenes_of(path: Path, given: Settings) -> list[ListedScene]:
     """Scenes of a list; of a product, itself."""
     if path.suffix.lower() == ".toml" and path.is_file():
-        try:
-            root = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ProductError(path, "", f"TOML expected: {error}") from None
+        root = read_toml(path).data
         if "scene" in root:
             return _listed(path, root, given)
     return [ListedScene({"name": path.name}, path, given)]

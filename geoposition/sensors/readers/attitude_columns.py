@@ -45,8 +45,8 @@ from typing import Final, Literal
 import numpy as np
 
 from geoposition.errors import ArgumentError
-from geoposition.sensors.readers.model_file_toml import TomlNode, read_toml
 from geoposition.timescale import Epoch
+from geoposition.tomlfile import TomlNode, read_toml
 
 _TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0, "day": 86400.0}
 _ANGLE_UNITS: Final = {

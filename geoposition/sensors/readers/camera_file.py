@@ -23,7 +23,7 @@ from geoposition.pushbroom import PushbroomModel
 from geoposition.sensor_model import SensorModel
 from geoposition.sensors.line_camera import Ccd, LineCamera, Mounting
 from geoposition.sensors.readers.model_file_camera import read_ccds, read_mounting
-from geoposition.sensors.readers.model_file_toml import read_toml
+from geoposition.tomlfile import read_toml
 
 CAMERA_MARK: Final = "geoposition camera"
 CAMERA_VERSION: Final = 1

@@ -108,8 +108,8 @@ from geoposition.sensors.readers.model_file_curves import (
     read_curve,
     read_rotations,
 )
-from geoposition.sensors.readers.model_file_toml import TomlNode, read_toml
 from geoposition.sensors.timing import ConstantLineRate, LineTimeTable
+from geoposition.tomlfile import TomlNode, read_toml
 
 if TYPE_CHECKING:
     from geoposition.sensors.readers.source import Source

@@ -18,7 +18,7 @@ from geoposition.sensors.directions import (
 from geoposition.sensors.line_camera import Ccd, Mounting
 from geoposition.sensors.readers.csm_focal_plane import CubicDirections, FocalPlane
 from geoposition.sensors.readers.model_file_curves import read_rotation
-from geoposition.sensors.readers.model_file_toml import TomlNode
+from geoposition.tomlfile import TomlNode
 
 
 def read_mounting(root: TomlNode) -> Mounting:

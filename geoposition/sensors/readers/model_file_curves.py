@@ -26,7 +26,7 @@ from geoposition.interpolation import (
     SumCurve,
 )
 from geoposition.sensors.readers.csm_interpolation import CsmLagrangeCurve
-from geoposition.sensors.readers.model_file_toml import TomlNode
+from geoposition.tomlfile import TomlNode
 
 POSITION = ("x_m", "y_m", "z_m")
 RATES = ("vx_m_s", "vy_m_s", "vz_m_s")

@@ -39,8 +39,8 @@ from geoposition.rotation import (
     quat_xyzw_from_wxyz,
     rotation_from_intrinsic_euler,
 )
-from geoposition.sensors.readers.model_file_toml import TomlNode, read_toml
 from geoposition.sensors.telemetry import Mounting
+from geoposition.tomlfile import TomlNode, read_toml
 
 GYRO: Final = "gyro"
 """Name of the gyro in a mounting file."""

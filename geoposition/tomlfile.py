@@ -1,4 +1,7 @@
-"""Our model file's TOML and tables, untrusted: read by key, and no key may stay unread."""
+"""Untrusted TOML, and the tables it names: read by key, and no key may stay unread.
+
+Every miss is a `ProductError` that names the file and the key.
+"""
 
 from __future__ import annotations
 
@@ -145,30 +148,30 @@ class TomlNode:
         return read_table(self.inside(key), columns, rows)
 
     def inside(self, key: str) -> Path:
-        """File named under `key`, which must lie in the folder of the model file."""
+        """File named under `key`, which must lie in the folder of this one."""
         name = self.text(key)
         pure = PurePosixPath(name)
         bad = not name or "\\" in name or ":" in name or "\0" in name
         if bad or pure.is_absolute() or ".." in pure.parts:
-            self.refuse(key, "a path within the model file's folder expected")
+            self.refuse(key, "a path within this file's folder expected")
         folder = self.path.parent.resolve()
         try:
             path = (folder / pure).resolve()
         except (OSError, RuntimeError):
-            self.refuse(key, "a path within the model file's folder expected")
+            self.refuse(key, "a path within this file's folder expected")
         if not path.is_relative_to(folder):
-            self.refuse(key, "a path within the model file's folder expected")
+            self.refuse(key, "a path within this file's folder expected")
         if not path.is_file():
             raise MissingFileError(self.path, self.at(key), f"there is no file {name}")
         return path
 
 
 def read_toml(path: Path) -> TomlNode:
-    """Read the file's root table."""
+    """Read the file's root table; `ProductError` (`MissingFileError`) where it cannot be."""
     try:
         if path.stat().st_size > MAX_TOML_BYTES:
             raise ProductError(path, "", f"a file below {MAX_TOML_BYTES} bytes expected")
-        return TomlNode(path, "", tomllib.loads(path.read_bytes().decode("utf-8")))
+        return TomlNode(path, "", tomllib.loads(path.read_bytes().decode("utf-8-sig")))
     except FileNotFoundError:
         raise MissingFileError(path, "", "there is no such file") from None
     except OSError as error:
