@@ -68,3 +68,27 @@ def test_a_place_that_cannot_be_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ProductError, match="writable place"), scratch_beside(tmp_path / "file/out"):
         pass
+
+
+def test_root_of_a_disk_is_filled_from_within(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Renaming works on one disk only, and what is beside a mounted folder is another disk."""
+    target = tmp_path / "out"
+    target.mkdir()
+    monkeypatch.setattr(Path, "is_mount", lambda self: self == target)
+    with scratch_beside(target) as folder:
+        assert folder.parent == target
+        (folder / "last.json").write_text("{}")
+        publish_folder(folder, target, "last.json")
+    assert [path.name for path in target.iterdir()] == ["last.json"]
+
+
+def test_the_working_folder_has_its_scratch_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    with scratch_beside(Path()) as folder:
+        assert folder.parent == tmp_path

@@ -33,20 +33,24 @@ def write_models(
     models: tuple[SensorModel, ...],
     wanted: OutputInput,
     folder: Path,
+    home: Path,
 ) -> list[dict[str, object]]:
     """Write each adjusted model as a product of its own; what could not be written, and why.
+
+    The files will be moved from `folder` to `home`.
 
     A rigorous model becomes a model file with tables, and a CSM state where its camera allows;
     an RPC a file `ID_RPC.TXT` with the bias in it. With image biases on top a rigorous model can
     only be told as the RPC fitted to it.
     """
     return [
-        _written(image, model, wanted, folder) for image, model in zip(images, models, strict=True)
+        _written(image, model, wanted, folder, home)
+        for image, model in zip(images, models, strict=True)
     ]
 
 
 def _written(
-    image: RunImage, model: SensorModel, wanted: OutputInput, folder: Path
+    image: RunImage, model: SensorModel, wanted: OutputInput, folder: Path, home: Path
 ) -> dict[str, object]:
     stem = "".join(c if c not in '/\\:"' else "_" for c in image.id)
     files: dict[str, object] = {"id": image.id}
@@ -54,7 +58,7 @@ def _written(
     pixels = image.pixels or image.product.image_path
     if isinstance(model, PushbroomModel):
         place = folder / f"{stem}.toml"
-        write_model_file(model, place, sensor=sensor, image=pixels)
+        write_model_file(model, place, sensor=sensor, image=pixels, home=home)
         files["model"] = place.name
         if wanted.csm:
             try:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
-from tempfile import mkdtemp
 from time import perf_counter
 
 from geoposition.errors import ProductError
@@ -24,6 +22,7 @@ from geoposition.scripts.adjust_unknowns import (
     held_without_control,
 )
 from geoposition.scripts.results import Progress, plain
+from geoposition.scripts.scratch import made_in, publish_folder, scratch_beside
 
 
 def run(path: Path, output: Path, progress: Progress) -> dict[str, object]:
@@ -48,39 +47,31 @@ def run(path: Path, output: Path, progress: Progress) -> dict[str, object]:
     if layout is not None:
         summary["plan"] = layout.as_dict()
     summary["seconds"] = round(perf_counter() - begin, 2)
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(mkdtemp(prefix=f".{output.name}-", dir=output.parent))
-    except OSError as error:
-        raise ProductError(output, "", f"a writable place expected ({error.strerror})") from None
-    try:
-        _fill(scratch, request, result, layout, summary)
-        output.mkdir(exist_ok=True)
-        for made in sorted(scratch.iterdir()):
-            made.replace(output / made.name)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+    with scratch_beside(output) as scratch:
+        _fill(scratch, output, request, result, layout, summary)
+        publish_folder(scratch, output, last="adjustment.json")
     return summary | {"output": str(output)}
 
 
 def _fill(
     folder: Path,
+    home: Path,
     request: RunInput,
     result: RunResult | None,
     layout: Layout | None,
     summary: dict[str, object],
 ) -> None:
-    """Write all files into `folder`, and their names into `summary`."""
+    """Write all files, later moved `home`, into `folder`, and their names into `summary`."""
     if result is not None:
         write_points(result, folder)
         if request.output.models:
             models = result.adjustment.models
-            summary["models"] = write_models(result.images, models, request.output, folder)
+            summary["models"] = write_models(result.images, models, request.output, folder, home)
     if request.output.report:
         from geoposition.scripts.adjust_report import page
 
         text = page(request, result, layout, summary)
         (folder / "report.html").write_text(text, encoding="utf-8")
-    summary["files"] = sorted(path.name for path in folder.iterdir()) + ["adjustment.json"]
+    summary["files"] = [*made_in(folder), "adjustment.json"]
     text = json.dumps(plain(summary), ensure_ascii=False, allow_nan=False, indent=1)
     (folder / "adjustment.json").write_text(text + "\n", encoding="utf-8")

@@ -25,7 +25,8 @@ from geoposition.scripts.evaluate_run import columns_of
 from geoposition.scripts.evaluate_settings import ListedScene, Settings, scenes_of
 from geoposition.scripts.known_ground import MatchedScene, matched_scene
 from geoposition.scripts.results import Progress, plain
-from geoposition.scripts.tables import whole_file, write_points
+from geoposition.scripts.scratch import publish_folder, scratch_beside
+from geoposition.scripts.tables import write_points
 from geoposition.sensors.calibrated_camera import line_camera
 from geoposition.sensors.readers import open_product
 from geoposition.sensors.readers.camera_file import CameraFile, read_camera_file
@@ -33,6 +34,7 @@ from geoposition.sensors.writers.model_file import write_model_file
 from geoposition.sensors.writers.model_file_camera import write_camera_file
 
 CAMERA_FILE = "camera.toml"
+SUMMARY_FILE = "calibration.json"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,14 +82,16 @@ def run(
         for name, found in zip(names, matched, strict=True)
     ]
     done = calibrate(scenes, options)
-    output.mkdir(parents=True, exist_ok=True)
-    camera = _write_camera(done, matched[0], output)
-    checks = tuple(
-        _check(scene, name, camera, progress)
-        for scene, name in zip(kept, _names(kept), strict=True)
-    )
-    result = CalibrationResult(done, tuple(matched), names, checks)
-    return _write(result, camera, output)
+    with scratch_beside(output) as folder:
+        camera = _write_camera(done, matched[0], folder)
+        checks = tuple(
+            _check(scene, name, camera, progress)
+            for scene, name in zip(kept, _names(kept), strict=True)
+        )
+        result = CalibrationResult(done, tuple(matched), names, checks)
+        summary = _fill(folder, result, camera, output)
+        publish_folder(folder, output, last=SUMMARY_FILE)
+    return summary
 
 
 def apply_camera(products: Sequence[Path], camera: Path, output: Path) -> dict[str, object]:
@@ -95,16 +99,17 @@ def apply_camera(products: Sequence[Path], camera: Path, output: Path) -> dict[s
     shared = read_camera_file(camera)
     opened = [open_product(path) for path in products]
     models = [shared.applied_to(product.model) for product in opened]
-    output.mkdir(parents=True, exist_ok=True)
-    written = []
-    for k, (product, model) in enumerate(zip(opened, models, strict=True)):
-        path = output / f"model_{k + 1:02d}.toml"
-        write_model_file(model, path, sensor=product.sensor, image=product.image_path)
-        written.append(str(path))
+    names = [f"model_{k + 1:02d}.toml" for k in range(len(opened))]
+    with scratch_beside(output) as folder:
+        for name, product, model in zip(names, opened, models, strict=True):
+            write_model_file(
+                model, folder / name, sensor=product.sensor, image=product.image_path, home=output
+            )
+        publish_folder(folder, output, last=names[-1])
     return {
         "camera": str(camera),
         "products": [str(path) for path in products],
-        "outputs": written,
+        "outputs": [str(output / name) for name in names],
     }
 
 
@@ -137,7 +142,7 @@ def _check(scene: ListedScene, name: str, camera: CameraFile, progress: Progress
     return check_scene(own, camera.applied_to(own.model), options)
 
 
-def _write_camera(done: Calibration, first: MatchedScene, output: Path) -> CameraFile:
+def _write_camera(done: Calibration, first: MatchedScene, folder: Path) -> CameraFile:
     """Write the camera file, and read it back: what is checked is what others will use."""
     names = ", ".join(scene.name for scene in done.scenes)
     turn = " ".join(
@@ -148,14 +153,17 @@ def _write_camera(done: Calibration, first: MatchedScene, output: Path) -> Camer
         f"Calibrated on known ground by geoposition, from {done.points} points in {names}.",
         f"Look angles: polynomials of degree {done.options.degree} over each CCD's samples.",
         f"Turn of the mounting, arcsec (standard deviation): {turn}.",
-        "Covariances, correlations and checks are in calibration.json.",
+        f"Covariances, correlations and checks are in {SUMMARY_FILE}.",
     )
-    path = output / CAMERA_FILE
+    path = folder / CAMERA_FILE
     write_camera_file(line_camera(done.camera), path, sensor=first.product.sensor, remarks=remarks)
     return read_camera_file(path)
 
 
-def _write(result: CalibrationResult, camera: CameraFile, output: Path) -> dict[str, object]:
+def _fill(
+    folder: Path, result: CalibrationResult, camera: CameraFile, output: Path
+) -> dict[str, object]:
+    """Write all files into `folder`; facts that name them where they will be, in `output`."""
     from geoposition.scripts.calibrate_report import build_report
     from geoposition.scripts.report import render
 
@@ -169,20 +177,22 @@ def _write(result: CalibrationResult, camera: CameraFile, output: Path) -> dict[
         model = camera.applied_to(product.model)
         write_model_file(
             model,
-            output / f"model_{number}.toml",
+            folder / f"model_{number}.toml",
             sensor=product.sensor,
             image=found.source.path,
+            home=output,
         )
         assert isinstance(adjusted, PushbroomModel)
         compensated = camera.applied_to(adjusted)
         write_model_file(
             compensated,
-            output / f"model_{number}_compensated.toml",
+            folder / f"model_{number}_compensated.toml",
             sensor=product.sensor,
             image=found.source.path,
+            home=output,
         )
         write_points(
-            output / f"residuals_{number}.gpkg",
+            folder / f"residuals_{number}.gpkg",
             columns_of(found.matches, done.residual_px[k]),
         )
         names += [
@@ -191,11 +201,10 @@ def _write(result: CalibrationResult, camera: CameraFile, output: Path) -> dict[
             f"residuals_{number}.gpkg",
         ]
     summary = summary_of(result) | {
-        "outputs": [str(output / n) for n in ("calibration.json", "report.html", *names)],
+        "outputs": [str(output / n) for n in (SUMMARY_FILE, "report.html", *names)],
         "inputs": inputs,
     }
     text = json.dumps(plain(summary), ensure_ascii=False, allow_nan=False, indent=1)
-    for name, content in (("calibration.json", text), ("report.html", page)):
-        with whole_file(output / name) as temporary:
-            temporary.write_text(content, encoding="utf-8")
+    (folder / "report.html").write_text(page, encoding="utf-8")
+    (folder / SUMMARY_FILE).write_text(text, encoding="utf-8")
     return summary

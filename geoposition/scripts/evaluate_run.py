@@ -25,7 +25,8 @@ from geoposition.scripts.evaluate_settings import ListedScene, Settings, scenes_
 from geoposition.scripts.known_ground import matched_scene
 from geoposition.scripts.results import Progress, plain
 from geoposition.scripts.scene_coverage import coverage
-from geoposition.scripts.tables import whole_file, write_points
+from geoposition.scripts.scratch import publish_folder, scratch_beside
+from geoposition.scripts.tables import write_points
 
 __all__ = ["SceneResult", "Settings", "coverage", "evaluate_scene", "run", "write_results"]
 
@@ -93,19 +94,18 @@ def write_results(results: Sequence[SceneResult], output: Path) -> dict[str, obj
         summaries[0] if len(summaries) == 1 else {"scenes": summaries}
     ) | {"inputs": inputs}
     page = render(build_report(results, inputs))
-    output.mkdir(parents=True, exist_ok=True)
-    names = []
-    for k, result in enumerate(results):
-        name = "matches.gpkg" if len(results) == 1 else f"matches_{k + 1:02d}.gpkg"
-        write_points(
-            output / name, columns_of(result.evaluation.matches, result.evaluation.residual_px)
-        )
-        names.append(name)
+    names = [f"matches_{k + 1:02d}.gpkg" for k in range(len(results))]
+    if len(names) == 1:
+        names = ["matches.gpkg"]
     summary["outputs"] = [str(output / name) for name in ("evaluation.json", "report.html", *names)]
     text = json.dumps(plain(summary), ensure_ascii=False, allow_nan=False, indent=1)
-    for name, content in (("evaluation.json", text), ("report.html", page)):
-        with whole_file(output / name) as temporary:
-            temporary.write_text(content, encoding="utf-8")
+    with scratch_beside(output) as folder:
+        for name, result in zip(names, results, strict=True):
+            found = result.evaluation
+            write_points(folder / name, columns_of(found.matches, found.residual_px))
+        (folder / "report.html").write_text(page, encoding="utf-8")
+        (folder / "evaluation.json").write_text(text, encoding="utf-8")
+        publish_folder(folder, output, last="evaluation.json")
     return summary
 
 

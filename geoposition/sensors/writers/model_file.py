@@ -46,12 +46,18 @@ class ModelFileReport:
 
 
 def write_model_file(
-    model: PushbroomModel, path: str | Path, *, sensor: str = "", image: str | Path | None = None
+    model: PushbroomModel,
+    path: str | Path,
+    *,
+    sensor: str = "",
+    image: str | Path | None = None,
+    home: Path | None = None,
 ) -> ModelFileReport:
     """Write `model` to `path`, a .toml, and its tables beside it, whole or not at all.
 
     The tables are named after the file: `scene.toml` has `scene_attitude.csv` and so on. The
-    TOML file is put in its place last. `image` is written relative to its folder.
+    TOML file is put in its place last. `image` is written relative to its folder, or
+    to `home` where the files will be moved to in the end.
     """
     path = Path(path)
     if path.suffix.lower() != ".toml":
@@ -64,7 +70,7 @@ def write_model_file(
     if sensor:
         header["sensor"] = sensor
     if image is not None:
-        header["image"] = Path(os.path.relpath(image, path.parent)).as_posix()
+        header["image"] = Path(os.path.relpath(image, home or path.parent)).as_posix()
     header |= {
         "lines": camera.shape[0],
         "height_range_m": [float(h) for h in model.height_range_m],
