@@ -253,6 +253,36 @@ def test_every_kind_of_unknown_has_its_name(folder: Path, case: adjust_scene.Cas
     assert facts["models"][0]["model"] == "forward_RPC.TXT"
 
 
+def test_one_table_of_image_points_serves_control_check_and_ties(
+    folder: Path, case: adjust_scene.Case, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rows of other points are left alone, even those in images that are not adjusted."""
+    assert case.control.image is not None
+    ground = adjust_files.rows(folder / "gcps.csv")[: len(case.control)]
+    for name, part in (("some", ground[:30]), ("rest", ground[30:])):
+        lines = [",".join(row[k] for k in ("id", "lon", "lat", "height")) for row in part]
+        (folder / f"{name}.csv").write_text("\n".join(["id,lon,lat,height", *lines]) + "\n")
+    points = [",".join(row[k] for k in ("id", "product", "row", "col"))
+              for row in adjust_files.rows(folder / "gcps.csv")]  # fmt: skip
+    ties = (folder / "ties.csv").read_text().splitlines()
+    everything = [ties[0], *points, *ties[1:], "far,nadir,10,10"]
+    (folder / "everything.csv").write_text("\n".join(everything) + "\n")
+    control = CONTROL.replace("gcps", "some") + 'image_points = "everything.csv"\n'
+    path = write_run(folder / "shared.toml", control, '[check]\nfile = "rest.csv"\n', QUIET)
+    status, facts = adjust(path, folder / "shared")
+    assert status == 0
+    assert (facts["control"]["points"], facts["check"]["points"]) == (30, 12)
+    assert facts["check_rmse_m"] < 5.0
+    lines = (folder / "some.csv").read_text().replace("\np", "\nq").splitlines()
+    (folder / "strange.csv").write_text("\n".join(f"x{x}" if i else x for i, x in enumerate(lines)))
+    path = write_run(folder / "none.toml", control.replace("some", "strange"), QUIET)
+    capsys.readouterr()
+    assert adjust(path, folder / "none")[0] == 2
+    said = capsys.readouterr().err
+    assert "everything.csv" in said
+    assert "strange.csv" in said
+
+
 # What is refused -----------------------------------------------------------------------------
 
 REFUSED = {

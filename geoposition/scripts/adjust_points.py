@@ -124,6 +124,11 @@ def _points(
             raise ProductError(
                 given.image_points, "header", "column(s) id, product, row, col expected"
             )
+        # The table may hold ties and check points too, some in images that are not adjusted.
+        table = table.of(ground.ids)
+        if not len(table):
+            expected = f"image points of the points in {given.file} expected, there are none"
+            raise ProductError(given.image_points, "id", expected)
     taken: set[str] = set()
     if table is not None:
         image = _image_points(table, names, given.image_sigma_px)

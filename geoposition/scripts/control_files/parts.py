@@ -54,6 +54,13 @@ class ImageTable:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def of(self, ids: NDArray[np.str_]) -> ImageTable:
+        """Rows of the points `ids` alone."""
+        rows = np.isin(self.ids, ids)
+        return ImageTable(
+            self.path, self.ids[rows], self.names[rows], self.image_px[rows], self.sigma_px[rows]
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControlFile:
