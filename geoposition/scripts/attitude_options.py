@@ -23,4 +23,3 @@ SensorOption: TypeAlias = Annotated[
     list[str] | None, typer.Option("--sensor", help="Use only this star head; may be repeated.")
 ]
 ReportOption: TypeAlias = Annotated[Path | None, typer.Option(help="HTML page to write.")]
-JsonOption: TypeAlias = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]

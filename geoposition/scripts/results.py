@@ -7,11 +7,17 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 Progress = Callable[[int, int], None]
+
+_DECIMALS: Final = 6
+
+
+def unseen(done: int, total: int) -> None:
+    """Progress that nobody looks at."""
 
 
 def print_json(result: Mapping[str, object]) -> None:
@@ -34,6 +40,20 @@ def plain(value: object) -> Any:
     if isinstance(value, (float, np.floating)):
         return float(value) if math.isfinite(value) else None
     return str(value)
+
+
+def rounded(value: Any) -> Any:
+    """Return plain `value` with all floats to six decimals: micrometres, millionths of a pixel.
+
+    What is cut off is rounding: it differs with the instructions that the compiler chose.
+    """
+    if isinstance(value, float):
+        return round(value, _DECIMALS)
+    if isinstance(value, Mapping):
+        return {name: rounded(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [rounded(item) for item in value]
+    return value
 
 
 def print_facts(title: str, facts: Mapping[str, object]) -> None:
@@ -76,7 +96,7 @@ def _words(value: object) -> str:
 def progress_bar(title: str, quiet: bool = False) -> Iterator[Progress]:
     """Give a `progress(done, total)` that shows a bar on a terminal, and nothing elsewhere."""
     if quiet or not sys.stderr.isatty():
-        yield lambda done, total: None
+        yield unseen
         return
     from rich.console import Console
     from rich.progress import Progress as Bar

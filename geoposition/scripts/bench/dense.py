@@ -21,6 +21,7 @@ from geoposition.datum import from_crs
 from geoposition.product import Product
 from geoposition.scripts import dsm_run
 from geoposition.scripts.bench.dense_scene import DenseScene, dense_scene, true_height_m
+from geoposition.scripts.results import unseen
 
 TARGET_MPX_S: Final = 1.0
 TARGET_GIB: Final = 2.0
@@ -86,7 +87,7 @@ def _run(scene: DenseScene, folder: Path) -> dict[str, object]:
         for source, model in zip(scene.sources, scene.models, strict=True)
     ]
     request = dsm_run.Request(output=folder / "dsm.tif", resolution=0.5, remove_bias=True)
-    return dsm_run.run(products, [], request, lambda done, total: None)
+    return dsm_run.run(products, [], request, unseen)
 
 
 def main() -> None:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     run_file: Annotated[
@@ -18,7 +20,7 @@ def command(
     example: Annotated[
         bool, typer.Option("--example", help="Print a RUN.toml with every key explained.")
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Remove systematic errors of images with ground control and tie points.
 

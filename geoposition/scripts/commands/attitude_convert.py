@@ -9,10 +9,10 @@ import typer
 
 from geoposition.scripts.attitude_options import (
     ColumnsOption,
-    JsonOption,
     MountingOption,
     PresetOption,
 )
+from geoposition.scripts.options import JsonOption
 
 
 def command(

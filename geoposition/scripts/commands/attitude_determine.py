@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from geoposition.scripts.attitude_options import JsonOption, MountingOption, ReportOption
+from geoposition.scripts.attitude_options import MountingOption, ReportOption
+from geoposition.scripts.options import JsonOption
 
 
 def command(

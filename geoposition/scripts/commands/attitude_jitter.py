@@ -9,12 +9,12 @@ import typer
 
 from geoposition.scripts.attitude_options import (
     ColumnsOption,
-    JsonOption,
     MountingOption,
     PresetOption,
     ReportOption,
     SensorOption,
 )
+from geoposition.scripts.options import JsonOption
 
 
 def command(

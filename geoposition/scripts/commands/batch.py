@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     run: Annotated[
@@ -28,7 +30,7 @@ def command(
     example: Annotated[
         bool, typer.Option("--example", help="Print a RUN.toml with every key, and stop.")
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Run many scenes through the same commands, retry what fails, resume what was stopped.
 

@@ -7,6 +7,20 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.known_ground_options import (
+    CorrelationOption,
+    DemOption,
+    DomBandOption,
+    DomOption,
+    FieldOption,
+    GeoidOption,
+    ReferenceSigmaOption,
+    SearchOption,
+    SpacingOption,
+    WindowOption,
+)
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     products: Annotated[
@@ -14,18 +28,10 @@ def command(
         typer.Argument(metavar="PRODUCT...", help="Scenes of one camera, or lists RUN.toml."),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
-    dom: Annotated[
-        list[Path] | None, typer.Option(help="Reference orthophoto; tiles: several times.")
-    ] = None,
-    dem: Annotated[
-        list[Path] | None, typer.Option(help="DEM of the ground; tiles: several times.")
-    ] = None,
-    geoid: Annotated[
-        Path | None, typer.Option(help="Geoid grid: the DEM's heights are orthometric.")
-    ] = None,
-    field: Annotated[
-        Path | None, typer.Option(help="Calibration field (field.toml) in place of these three.")
-    ] = None,
+    dom: DomOption = None,
+    dem: DemOption = None,
+    geoid: GeoidOption = None,
+    field: FieldOption = None,
     hold_out: Annotated[
         list[Path] | None,
         typer.Option(help="Scene kept out, to check the result on; several times."),
@@ -41,23 +47,16 @@ def command(
     attitude_degree: Annotated[
         int, typer.Option(help="Attitude bias by scene: 0 constant, 1 with drift, 2 quadratic.")
     ] = 1,
-    reference_sigma: Annotated[
-        float | None,
-        typer.Option(help="Standard deviation of the reference's place, per axis, m."),
-    ] = None,
+    reference_sigma: ReferenceSigmaOption = None,
     height_sigma: Annotated[
         float | None, typer.Option(help="Standard deviation of the DEM's heights, m; 1.")
     ] = None,
-    search: Annotated[float, typer.Option(help="How far off the model may be, m.")] = 100.0,
-    window: Annotated[int, typer.Option(help="Side of a patch, pixels.")] = 64,
-    spacing: Annotated[
-        int | None, typer.Option(help="Distance of patches, pixels; half a window.")
-    ] = None,
-    correlation: Annotated[float, typer.Option(help="Least correlation of a match.")] = 0.4,
-    dom_band: Annotated[
-        int | None, typer.Option(help="Band of the orthophoto, from 1; their mean.")
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    search: SearchOption = 100.0,
+    window: WindowOption = 64,
+    spacing: SpacingOption = None,
+    correlation: CorrelationOption = 0.4,
+    dom_band: DomBandOption = None,
+    json: JsonOption = False,
 ) -> None:
     r"""Calibrate a camera's look angles and mounting on known ground.
 

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     out: Annotated[
@@ -16,7 +18,7 @@ def command(
     image_sigma: Annotated[
         float, typer.Option(help="Noise of the image points, pixels (one sigma).")
     ] = 0.3,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Simulate a three-line scene, intersect and locate its points, and report how good it is.
 

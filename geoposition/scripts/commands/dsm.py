@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     products: Annotated[
@@ -16,6 +18,10 @@ def command(
     image: Annotated[
         list[Path] | None,
         typer.Option(help="Image of each product in turn, where it is not known."),
+    ] = None,
+    ties: Annotated[
+        Path | None,
+        typer.Option(help="Table id,product,row,col of matches; found in the images."),
     ] = None,
     points: Annotated[Path | None, typer.Option(help="Point cloud to write: .las, .laz.")] = None,
     resolution: Annotated[
@@ -44,7 +50,7 @@ def command(
     geoid: Annotated[
         Path | None, typer.Option(help="Geoid grid that makes its heights ellipsoidal.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Match images densely and grid the points to a surface (DSM).
 
@@ -59,6 +65,7 @@ def command(
     from geoposition.scripts import dsm_run
     from geoposition.scripts.results import print_facts, print_json, progress_bar
     from geoposition.scripts.tables import check_output
+    from geoposition.scripts.tie_tables import read_ties
     from geoposition.sensors.readers import open_product
 
     if len(products) < 2:
@@ -84,8 +91,9 @@ def command(
         geoid=geoid,
     )
     opened = [open_product(product) for product in products]
+    known = None if ties is None else read_ties(ties, products)
     with progress_bar("matching", json) as progress:
-        summary = dsm_run.run(opened, image or [], request, progress)
+        summary = dsm_run.run(opened, image or [], request, progress, known)
     if json:
         print_json(summary)
     else:

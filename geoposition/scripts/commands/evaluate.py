@@ -7,24 +7,30 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.known_ground_options import (
+    CorrelationOption,
+    DemOption,
+    DomBandOption,
+    DomOption,
+    FieldOption,
+    GeoidOption,
+    ReferenceSigmaOption,
+    SearchOption,
+    SpacingOption,
+    WindowOption,
+)
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     product: Annotated[
         Path, typer.Argument(help="Image with an RPC, any product, or a list RUN.toml of scenes.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
-    dom: Annotated[
-        list[Path] | None, typer.Option(help="Reference orthophoto; tiles: several times.")
-    ] = None,
-    dem: Annotated[
-        list[Path] | None, typer.Option(help="DEM of the ground; tiles: several times.")
-    ] = None,
-    geoid: Annotated[
-        Path | None, typer.Option(help="Geoid grid: the DEM's heights are orthometric.")
-    ] = None,
-    field: Annotated[
-        Path | None, typer.Option(help="Calibration field (field.toml) in place of these three.")
-    ] = None,
+    dom: DomOption = None,
+    dem: DemOption = None,
+    geoid: GeoidOption = None,
+    field: FieldOption = None,
     image: Annotated[
         Path | None, typer.Option(help="The image, where it is not known from the product.")
     ] = None,
@@ -38,26 +44,19 @@ def command(
     relative: Annotated[
         str, typer.Option(help="Removed before the relative numbers: shift, affine, attitude.")
     ] = "shift",
-    reference_sigma: Annotated[
-        float | None,
-        typer.Option(help="Standard deviation of the reference's place, per axis, m."),
-    ] = None,
+    reference_sigma: ReferenceSigmaOption = None,
     height_sigma: Annotated[
         float | None, typer.Option(help="Standard deviation of the DEM's datum, m.")
     ] = None,
-    search: Annotated[float, typer.Option(help="How far off the model may be, m.")] = 100.0,
-    window: Annotated[int, typer.Option(help="Side of a patch, pixels.")] = 64,
-    spacing: Annotated[
-        int | None, typer.Option(help="Distance of patches, pixels; half a window.")
-    ] = None,
-    correlation: Annotated[float, typer.Option(help="Least correlation of a match.")] = 0.4,
+    search: SearchOption = 100.0,
+    window: WindowOption = 64,
+    spacing: SpacingOption = None,
+    correlation: CorrelationOption = 0.4,
     line_period: Annotated[
         float | None, typer.Option(help="Seconds per line, where the model tells no time.")
     ] = None,
-    dom_band: Annotated[
-        int | None, typer.Option(help="Band of the orthophoto, from 1; their mean.")
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    dom_band: DomBandOption = None,
+    json: JsonOption = False,
 ) -> None:
     r"""Match an image with a reference orthophoto and say how accurate it is.
 

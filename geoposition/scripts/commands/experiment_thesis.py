@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from geoposition.scripts.attitude_options import JsonOption
+from geoposition.scripts.options import JsonOption
 
 
 def command(

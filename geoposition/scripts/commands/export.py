@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     product: Annotated[Path, typer.Argument(help="Product with a rigorous model.")],
@@ -17,7 +19,7 @@ def command(
         float | None,
         typer.Option(help="Height at which the CSM rays are exact; mid of the model's range."),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Write the rigorous model for other tools (CSM line-scanner state) or as a model file.
 

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     product: Annotated[Path, typer.Argument(help="Product: metadata file, folder, RPC, model.")],
@@ -17,7 +19,7 @@ def command(
         list[Path] | None,
         typer.Option(help="Another product (again for more): the budget of intersected points."),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Show sensor, times, footprint, ground sample, frames and corrections in force.
 

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     products: Annotated[
@@ -20,6 +22,10 @@ def command(
         Path | None, typer.Option(help="Table id,product,row,col: which point is seen where.")
     ] = None,
     match: Annotated[bool, typer.Option("--match", help="Find the ties in the images.")] = False,
+    keep_ties: Annotated[
+        Path | None,
+        typer.Option(help="Table of the ties found to write, for --ties of later runs (.csv)."),
+    ] = None,
     image: Annotated[
         list[Path] | None,
         typer.Option(help="Image of each product in turn, where it is not known (with --match)."),
@@ -67,7 +73,7 @@ def command(
         bool, typer.Option("--covariance", help="Add covariances and error ellipsoids.")
     ] = False,
     report: Annotated[Path | None, typer.Option(help="Report to write: .html.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Intersect lines of sight of the same ground points (forward intersection).
 
@@ -86,7 +92,13 @@ def command(
     from geoposition.scripts.results import print_facts, print_json, progress_bar
     from geoposition.scripts.stereo_errors import StatedSigmas
     from geoposition.scripts.tables import check_output
-    from geoposition.scripts.tie_tables import read_checks, read_ties
+    from geoposition.scripts.tie_tables import (
+        TIE_SUFFIXES,
+        names_for,
+        read_checks,
+        read_ties,
+        write_ties,
+    )
     from geoposition.sensors.readers import open_product
 
     if len(products) < 2:
@@ -95,7 +107,11 @@ def command(
         raise ArgumentError("intersect: one of --ties and --match expected")
     if image and not match:
         raise ArgumentError("--image: for --match only")
-    check_output(output, stereo_run.SUFFIXES)
+    if keep_ties is not None and not match:
+        raise ArgumentError("--keep-ties: for --match only, the ties are in a table already")
+    for table, suffixes in ((output, stereo_run.SUFFIXES), (keep_ties, TIE_SUFFIXES)):
+        if table is not None:
+            check_output(table, suffixes)
     if report is not None:
         check_output(report, (".html", ".htm"))
     options = stereo_run.Options(
@@ -119,6 +135,9 @@ def command(
     page = None if report is None else stereo_report.page(run, options, source)
     stereo_run.write(output, run, covariance)
     facts = run.summary | {"output": str(output)}
+    if keep_ties is not None:
+        write_ties(keep_ties, [found_ties], names_for(products))
+        facts["ties"] = str(keep_ties)
     if report is not None and page is not None:
         stereo_report.write(report, page)
         facts["report"] = str(report)

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     product: Annotated[Path, typer.Argument(help="Product: metadata file, folder, RPC, model.")],
@@ -19,7 +21,7 @@ def command(
     geoid: Annotated[
         Path | None, typer.Option(help="Geoid grid: the DEM's heights are orthometric.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Locate image points on the ground: on a height, or where they meet a DEM.
 

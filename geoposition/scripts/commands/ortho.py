@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     product: Annotated[Path, typer.Argument(help="Product: metadata file, RPC, model.")],
@@ -43,7 +45,15 @@ def command(
         Literal["none", "deflate", "lzw", "zstd"],
         typer.Option(help="Without loss; none is fastest, deflate and lzw for older readers."),
     ] = "zstd",
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    window: Annotated[
+        str | None,
+        typer.Option(help="K/N: make only the K-th of N windows of rows, into --windows."),
+    ] = None,
+    windows: Annotated[
+        list[Path] | None,
+        typer.Option(help="Folder of a window; without --window join these, one option each."),
+    ] = None,
+    json: JsonOption = False,
 ) -> None:
     """Bring an image to a map with its model and a DEM (orthorectification).
 
@@ -54,6 +64,7 @@ def command(
     """
     from geoposition.scripts import ortho_run
     from geoposition.scripts.results import print_facts, print_json, progress_bar
+    from geoposition.scripts.row_windows import Split
     from geoposition.scripts.tables import check_output
     from geoposition.sensors.readers import open_product
 
@@ -71,6 +82,7 @@ def command(
         bound_px=bound,
         nodata=nodata,
         compress=compress,
+        split=Split.of(window, windows or ()),
     )
     opened = open_product(product)
     with progress_bar("ortho", json) as progress:

@@ -7,12 +7,14 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     product: Annotated[Path, typer.Argument(help="Product: metadata file, folder, RPC, model.")],
     points: Annotated[Path, typer.Argument(help="Table with id,lon,lat,height.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Table to write.")],
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Project ground points (degrees, metres above the ellipsoid, WGS 84) into the image.
 

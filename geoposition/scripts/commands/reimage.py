@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     product: Annotated[Path, typer.Argument(help="Product with a rigorous model.")],
@@ -62,7 +64,15 @@ def command(
         Literal["none", "deflate", "lzw", "zstd"],
         typer.Option(help="Without loss; none is fastest, deflate and lzw for older readers."),
     ] = "zstd",
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    window: Annotated[
+        str | None,
+        typer.Option(help="K/N: make only the K-th of N windows of rows, into --windows."),
+    ] = None,
+    windows: Annotated[
+        list[Path] | None,
+        typer.Option(help="Folder of a window; without --window join these, one option each."),
+    ] = None,
+    json: JsonOption = False,
 ) -> None:
     """Re-image as a perfectly steady camera would have it (steady-state re-imaging).
 
@@ -77,6 +87,7 @@ def command(
     from geoposition.scripts import reimage_run
     from geoposition.scripts.reimage_input import AttitudeInput
     from geoposition.scripts.results import print_facts, print_json, progress_bar
+    from geoposition.scripts.row_windows import Split
     from geoposition.sensors.readers import open_product
 
     if geoid is not None and dem is None:
@@ -102,6 +113,7 @@ def command(
         nodata=nodata,
         compress=compress,
         evaluation=evaluation,
+        split=Split.of(window, windows or ()),
     )
     opened = open_product(product)
     with progress_bar("re-imaging", json) as progress:

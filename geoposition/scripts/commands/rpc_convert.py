@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     rpc: Annotated[Path, typer.Argument(help="RPC file of any dialect, or image carrying one.")],
@@ -31,7 +33,7 @@ def command(
     verify: Annotated[
         bool, typer.Option("--verify", help="Read the file again with GDAL and compare.")
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Rewrite an RPC in the dialect that the output's name asks for.
 

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from geoposition.scripts.options import JsonOption
+
 
 def command(
     product: Annotated[
@@ -43,7 +45,7 @@ def command(
         bool, typer.Option("--verify", help="Read the file again with GDAL and compare.")
     ] = False,
     report: Annotated[Path | None, typer.Option(help="HTML page about the fit to write.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Fit an RPC to a product's model, check it between the nodes, and write it.
 

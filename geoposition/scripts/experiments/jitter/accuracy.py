@@ -9,6 +9,7 @@ from typing import Final
 from geoposition.scripts.evaluate_run import SceneResult, evaluate_scene, write_results
 from geoposition.scripts.evaluate_settings import ListedScene, Settings, scenes_of
 from geoposition.scripts.experiments.jitter.cases import LINE_S, Case
+from geoposition.scripts.results import unseen
 
 STAGES: Final = ("before", "after")
 """Steady images with the on-board attitude (P table 1) and with the fused one (P table 2)."""
@@ -43,14 +44,10 @@ def listed_scenes(folder: Path, number: int) -> dict[str, ListedScene]:
 
 def evaluated(scenes: Mapping[str, ListedScene]) -> dict[str, SceneResult]:
     """Match and evaluate both steady images of a scene."""
-    return {stage: evaluate_scene(scene, _silent) for stage, scene in scenes.items()}
+    return {stage: evaluate_scene(scene, unseen) for stage, scene in scenes.items()}
 
 
 def write_reports(folder: Path, found: Sequence[Mapping[str, SceneResult]]) -> None:
     """Write `evaluation-before` and `evaluation-after`, all scenes in each."""
     for stage in STAGES:
         write_results([scene[stage] for scene in found], folder / f"evaluation-{stage}")
-
-
-def _silent(done: int, total: int) -> None:
-    pass

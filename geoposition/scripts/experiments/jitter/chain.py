@@ -18,6 +18,7 @@ from geoposition.scripts.experiments.jitter.cases import Case
 from geoposition.scripts.experiments.jitter.ground import Ground
 from geoposition.scripts.experiments.jitter.scene import Sighting
 from geoposition.scripts.reimage_input import AttitudeInput, jittered_model
+from geoposition.scripts.results import unseen
 from geoposition.sensors.attitude_determination.estimate import AttitudeEstimate
 from geoposition.sensors.attitude_determination.jitter.lines import Jitter
 from geoposition.sensors.attitude_determination.signal.low_pass import low_pass
@@ -77,7 +78,7 @@ def run_scene(
     files.write_telemetry(sighting, telemetry)
     image = folder / "image.tif"
     files.write_models(sighting, true, folder, image)
-    files.write_image(image, case, true, ground, _silent)
+    files.write_image(image, case, true, ground, unseen)
     fused = fuse(sighting, telemetry, folder / "fused.csv")
     jitter, _ = attitude_jitter.search(_search(telemetry))
     before = _reimaged(folder, ground, None, "before")
@@ -121,13 +122,9 @@ def fuse(sighting: Sighting, telemetry: Path, output: Path) -> attitude_fusion.F
         rate_random_walk=noise.rate_random_walk,
         at=telemetry / "times.csv",
     )
-    run = attitude_fusion.fuse(sources, options, _silent)
+    run = attitude_fusion.fuse(sources, options, unseen)
     attitude_fusion.write(output, run)
     return run
-
-
-def _silent(done: int, total: int) -> None:
-    pass
 
 
 def _search(telemetry: Path) -> attitude_jitter.Request:
@@ -158,7 +155,7 @@ def _reimaged(
         dem=ground.dem,
         report=False,
     )
-    return dict(reimage_run.run(open_product(folder / "onboard.toml"), request, _silent))
+    return dict(reimage_run.run(open_product(folder / "onboard.toml"), request, unseen))
 
 
 def _steady_error(

@@ -16,6 +16,7 @@ from geoposition.scripts.attitude_input import Sources, load
 from geoposition.scripts.experiments.thesis.fusion import MISALIGNMENT_SIGMA
 from geoposition.scripts.experiments.thesis.scene import Scene
 from geoposition.scripts.experiments.thesis.telemetry import Instruments
+from geoposition.scripts.results import unseen
 from geoposition.scripts.tables import write_table
 from geoposition.sensors.attitude_determination.jitter.lines import Jitter
 from geoposition.sensors.attitude_determination.settings import GyroModel
@@ -86,7 +87,7 @@ def run_attitude(
     rows, chosen = [], None
     for model in GYRO_MODELS:
         for method in METHODS:
-            run = attitude_fusion.fuse(sources, _options(flown, method, model), _silent)
+            run = attitude_fusion.fuse(sources, _options(flown, method, model), unseen)
             attitude_fusion.write(folder / "attitude" / f"fused-{method}-{model}.csv", run)
             rows.append(_row(scene, run))
             if (method, model) == CHOSEN:
@@ -163,13 +164,13 @@ def _smoothed_angles(
 ) -> Mapping[str, Any]:
     """Angle between the fused axis of head 2 and the other head as measured. *Source*: T 5.2.2."""
     table, epochs = folder / "star_fused.csv", folder / "star_epochs.csv"
-    run = attitude_fusion.fuse(sources, options, _silent)
+    run = attitude_fusion.fuse(sources, options, unseen)
     star = load(replace(sources, sensors=None)).star
     rows = (star.head != star.heads.index(HEAD)) & (star.times_s <= run.estimate.times_s[-1])
     rows &= star.times_s >= run.estimate.times_s[0]
     other = star.where(rows)
     write_table(epochs, {"t_s": np.asarray(other.times_s)})
-    at = attitude_fusion.fuse(sources, replace(options, at=epochs), _silent).asked
+    at = attitude_fusion.fuse(sources, replace(options, at=epochs), unseen).asked
     body = at.R_inertial_body * run.telemetry.mounting.rotation(HEAD)
     names = [HEAD, star.heads[int(other.head[0])]]
     quats = np.stack([body.as_quat(), other.quat_xyzw], axis=1).reshape(-1, 4)
@@ -199,7 +200,3 @@ def _jitter(
             20,
         )
     )
-
-
-def _silent(done: int, total: int) -> None:
-    """Report nothing: the chain's own progress does."""

@@ -20,7 +20,7 @@ from geoposition.arrays import FloatArray
 from geoposition.attitude import Attitude
 from geoposition.calib_fields.synthetic_dom import synthetic_image
 from geoposition.matching import MatchOptions, match_images, open_image
-from geoposition.observations import ControlPoints, TiePoints
+from geoposition.observations import ControlPoints
 from geoposition.scripts import adjust_run, dsm_run, stereo_run
 from geoposition.scripts.experiments.thesis.control import (
     GPS_SIGMA_M,
@@ -33,8 +33,10 @@ from geoposition.scripts.experiments.thesis.field import SongshanField
 from geoposition.scripts.experiments.thesis.fusion import KINDS, Kind
 from geoposition.scripts.experiments.thesis.scene import HEIGHTS_M, Scene
 from geoposition.scripts.experiments.thesis.telemetry import Telemetry
-from geoposition.scripts.tables import whole_file, write_table
-from geoposition.scripts.tie_tables import read_checks, read_ties
+from geoposition.scripts.point_tables import write_ground
+from geoposition.scripts.results import unseen
+from geoposition.scripts.tables import whole_file
+from geoposition.scripts.tie_tables import read_checks, read_ties, write_ties
 from geoposition.sensors.readers import open_product
 from geoposition.sensors.writers.model_file import write_model_file
 
@@ -138,22 +140,23 @@ def run_stereo(
     for kind in KINDS:
         path = folder / f"RUN-{kind}.toml"
         path.write_text(_run_text(scene, field.plan, kind), encoding="utf-8")
-        adjustments[kind] = dict(adjust_run.run(path, folder / "adjusted" / kind, _silent))
+        adjustments[kind] = dict(adjust_run.run(path, folder / "adjusted" / kind, unseen))
         step()
     paths = [folder / "adjusted" / "fused" / f"{name}.toml" for name in scene.models]
     products = [open_product(path) for path in paths]
     images = [folder / f"{name}.tif" for name in scene.models]
     sources = [open_image(path) for path in images]
     matches = match_images(sources, [product.model for product in products], MATCHING)
-    write_ties(folder / "ties.csv", matches, marks, list(scene.models))
+    assert marks.image is not None
+    write_ties(folder / "ties.csv", [matches, marks.image], list(scene.models))
     step()
     ties = read_ties(folder / "ties.csv", paths)
     options = stereo_run.Options(sigma_px=None, checks=read_checks(folder / "gcps.csv"))
-    stereo = stereo_run.intersect(products, ties, options, _silent)
+    stereo = stereo_run.intersect(products, ties, options, unseen)
     stereo_run.write(folder / "points.csv", stereo)
     step()
     request = dsm_run.Request(folder / "dsm.tif", resolution=DSM_M, reference=folder / "dem.tif")
-    surface = dsm_run.run(products, images, request, _silent)
+    surface = dsm_run.run(products, images, request, unseen)
     step()
     return StereoChain(adjustments, stereo.summary, surface)
 
@@ -182,34 +185,9 @@ def write_models(
 
 def write_control(folder: Path, points: ControlPoints, names: list[str]) -> None:
     """Write gcps.csv, id,lon,lat,height, and gcps_px.csv, id,product,row,col."""
-    degrees: FloatArray = np.degrees(points.geodetic[:, :2])
-    write_table(
-        folder / "gcps.csv",
-        {
-            "id": np.asarray(points.ids, dtype=np.str_),
-            "lon": np.round(degrees[:, 0], 12),
-            "lat": np.round(degrees[:, 1], 12),
-            "height": np.round(points.geodetic[:, 2], 6),
-        },
-    )
+    write_ground(folder / "gcps.csv", points.ids, points.geodetic)
     assert points.image is not None
-    write_table(folder / "gcps_px.csv", _tie_columns(points.image, names))
-
-
-def write_ties(path: Path, matches: TiePoints, marks: ControlPoints, names: list[str]) -> None:
-    """Write the matches and, by their ids, the marks of the ground points."""
-    assert marks.image is not None
-    parts = [_tie_columns(matches, names), _tie_columns(marks.image, names)]
-    write_table(path, {key: np.concatenate([p[key] for p in parts]) for key in parts[0]})
-
-
-def _tie_columns(ties: TiePoints, names: list[str]) -> dict[str, Any]:
-    return {
-        "id": ties.ids.astype(np.str_),
-        "product": np.array(names, dtype=np.str_)[ties.product],
-        "row": np.round(ties.image_px[:, 0], 4),
-        "col": np.round(ties.image_px[:, 1], 4),
-    }
+    write_ties(folder / "gcps_px.csv", [points.image], names)
 
 
 def _run_text(scene: Scene, plan: Layout, kind: Kind) -> str:
@@ -242,7 +220,3 @@ def _write_image(path: Path, grey: FloatArray) -> None:
             nodata=_MISSING,
         ) as file:
             file.write(band.astype(np.uint16), 1)
-
-
-def _silent(done: int, total: int) -> None:
-    """Report nothing: the chain's own progress does."""
