@@ -104,8 +104,8 @@ def _outline(model: SensorModel, terrain: Terrain) -> FloatArray:
         height = float(np.mean(model.height_range_m))
         where = np.degrees(model.image_to_ground(middle, height).geodetic)
         raise GeometryError(
-            f"no overlap: the DEM has no heights where the image is, about longitude "
-            f"{where[0]:.4f}, latitude {where[1]:.4f}"
+            f"terrain: no heights where the image is, about longitude {where[0]:.4f}, "
+            f"latitude {where[1]:.4f}"
         )
     return ground.geodetic[seen]
 

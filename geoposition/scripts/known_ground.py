@@ -70,7 +70,7 @@ def matched_scene(path: Path, settings: Settings, progress: Progress) -> Matched
         matches = match_dom(source, product.model, dom, terrain, options, progress)
     except GeometryError as error:
         if not str(error).startswith("terrain"):
-            raise
+            raise GeometryError(f"{product.path}: {error}") from None
         # the terrain does not know which file its lattice came from
         expected = f"a DEM with heights where the image is expected ({error})"
         raise ProductError(settings.dem[0], "coordinate system", expected) from None

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geoposition.arrays import FloatArray
-from geoposition.errors import ArgumentError, GeopositionError, ProductError
+from geoposition.errors import ArgumentError, GeometryError, GeopositionError, ProductError
 from geoposition.flags import has_result
 from geoposition.rpc.fit import fit_model, fit_samples, refuse_beyond
 from geoposition.rpc.fit_build import RpcFit
@@ -63,14 +63,17 @@ def fit(path: Path, options: Options, progress: Progress) -> SourceFit:
     progress(1, 4)
     heights, origin = _heights(product.model, options)
     progress(2, 4)
-    found = fit_model(
-        product.model,
-        heights,
-        degree=options.degree,
-        denominators=options.denominators,
-        direct=options.direct,
-        limit_px=options.limit_px,
-    )
+    try:
+        found = fit_model(
+            product.model,
+            heights,
+            degree=options.degree,
+            denominators=options.denominators,
+            direct=options.direct,
+            limit_px=options.limit_px,
+        )
+    except GeometryError as error:
+        raise GeometryError(f"{path}: {error}") from None
     progress(3, 4)
     name = "" if product.sensor == "unknown" else product.sensor
     model = replace(found.model, satellite=name)
