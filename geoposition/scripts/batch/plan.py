@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Final
 
 from geoposition.errors import ProductError
-from geoposition.sensors.readers.model_file_toml import TomlNode, read_toml
+from geoposition.tomlfile import TomlNode, read_toml
 
 EXAMPLE: Final = """\
 # geoposition batch RUN.toml: every scene goes through every step.
