@@ -56,7 +56,9 @@ def continuous_quat(quat: ArrayLike) -> FloatArray:
 class EulerAngles:
     """`angles_rad` (..., 3) in the order of the sequence, and where they are `singular` (...).
 
-    Where singular, only the sum or difference of the outer angles is defined: the third is 0.
+    Where singular, only the sum or difference of the outer angles is defined well. Nearer than
+    1e-7 rad the third is 0, and the direction of what the middle angle differs from the singular
+    one is lost: the angles give the rotation back to 2e-7 rad.
     """
 
     angles_rad: FloatArray

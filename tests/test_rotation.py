@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -71,6 +71,7 @@ def test_3_1_2_is_the_textbook_matrix() -> None:
 
 
 @given(st.sampled_from(SEQUENCES), angle, angle, angle)
+@example("ZXZ", 0.3, -6e-8, 0.0)
 def test_euler_round_trip(sequence: str, a: float, b: float, c: float) -> None:
     for forward, back in (
         (rotation_from_intrinsic_euler, intrinsic_euler_from_rotation),
@@ -79,7 +80,8 @@ def test_euler_round_trip(sequence: str, a: float, b: float, c: float) -> None:
         rotation = forward(sequence, [a, b, c])
         found = back(sequence, rotation)
         again = forward(sequence, found.angles_rad)
-        assert np.abs((again.inv() * rotation).as_rotvec()).max() < 1e-7
+        # Two tilts of at most 1e-7 rad, about any two axes, are at most twice that apart.
+        assert np.linalg.norm((again.inv() * rotation).as_rotvec()) < 2.01e-7
         if not found.singular:
             assert np.abs((again.inv() * rotation).as_rotvec()).max() < 2e-9
 
