@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 from scipy.spatial.transform import Rotation
@@ -39,7 +39,6 @@ def manoeuvre_increments(times: np.ndarray) -> np.ndarray:
     return np.diff(np.stack(angle, axis=-1), axis=0)
 
 
-@settings(deadline=None)
 @given(triples, triples, triples)
 def test_installation_is_a_general_gyro_and_comes_out(
     turn: np.ndarray, scale: np.ndarray, motion: np.ndarray

@@ -133,14 +133,14 @@ def test_summary_has_the_contracts_units() -> None:
 
 
 @given(angle=st.floats(0.0, np.pi))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_angle_is_exact_also_near_its_ends(angle: float) -> None:
     a, b = np.array([0.0, 0.0, 1.0]), np.array([np.sin(angle), 0.0, np.cos(angle)])
     assert abs(float(angle_between_rad(a, b)) - angle) < 1e-15 + 1e-15 * angle
 
 
 @given(st.lists(st.floats(0.0, 89.5), min_size=1, max_size=20))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_interpolation_follows_a_smooth_turn(at: list[float]) -> None:
     times = np.arange(0.0, 90.0, 0.25)
     keep, found = interpolate_rotations(times, body(times), np.array(at))

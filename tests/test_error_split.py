@@ -75,7 +75,7 @@ def test_less_than_an_orbit_falls_back_to_the_cut_off() -> None:
 
 
 @given(scale=st.floats(1e-6, 1e3), offset=st.floats(-1e3, 1e3))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_sizes_scale_with_the_values(scale: float, offset: float) -> None:
     times, values = simulated(3.0, 2.0, 1.0)
     plain = split_errors(times[:3000], values[:3000])

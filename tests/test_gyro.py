@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geoposition.errors import ArgumentError
@@ -141,7 +141,6 @@ def test_runs_broadcast_and_keep_their_own_truth() -> None:
     assert np.array_equal(made.series(3).values, made.values[3])
 
 
-@settings(deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_the_same_seed_gives_the_same_series(seed: int) -> None:
     one, two = (

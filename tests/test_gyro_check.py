@@ -97,7 +97,7 @@ def test_scatter_equals_the_stated_sigma() -> None:
     scale=st.floats(-0.01, 0.01),
     misalignment=st.floats(-0.01, 0.01),
 )
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_errors_come_back(lag: float, scale: float, misalignment: float) -> None:
     matrix = np.array([[scale, misalignment, 0.0], [0.0, -scale, 0.0], [0.0, 0.0, 0.0]])
     found = check_gyro(*simulated(lag_s=lag, matrix=matrix))

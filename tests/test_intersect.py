@@ -125,7 +125,7 @@ def test_bundles_of_any_size_equal_numpy() -> None:
     np.testing.assert_array_equal(found.rays, counts)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.permutations(range(3)), st.integers(0, 10_000))
 def test_order_of_the_rays_does_not_matter(order: list[int], seed: int) -> None:
     _, bundle = scene(3, seed)
@@ -140,7 +140,7 @@ def test_order_of_the_rays_does_not_matter(order: list[int], seed: int) -> None:
     np.testing.assert_array_equal(other.convergence_rad, straight.convergence_rad)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3), st.integers(0, 10_000))
 def test_turning_the_frame_turns_the_point(turn: tuple[float, ...], seed: int) -> None:
     _, bundle = scene(4, seed)

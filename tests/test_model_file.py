@@ -147,7 +147,7 @@ def test_reads_back_to_the_same_bits(name: str, tmp_path: Path) -> None:
     same_rays(model, read_model_file(tmp_path / "scene.toml").model)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 40))
 def test_quaternions_of_a_slerp_are_found_again(seed: int, count: int) -> None:
     from geoposition.sensors.writers.model_file_parts import slerp_quaternions

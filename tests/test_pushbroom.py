@@ -119,7 +119,7 @@ def test_image_edge_where_the_ephemeris_begins() -> None:
     assert np.all(model.image_to_ground([[-0.4, 1.0], [499.4, 1.0]], 0.0).flag == 2)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     roll=st.floats(-50, 50),
     pitch=st.floats(-35, 35),

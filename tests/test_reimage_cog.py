@@ -127,7 +127,7 @@ def test_rows_that_do_not_fit_are_refused_and_leave_nothing(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.binary(min_size=1, max_size=3000), st.integers(1, 40))
 def test_lzw_codes_decode_to_what_they_were_made_of(content: bytes, repeat: int) -> None:
     """Decoded here by the book: TIFF 6.0, section 13."""

@@ -65,7 +65,7 @@ def test_bilinear_and_cubic_are_their_definitions(name: str) -> None:
             assert cubic[0, row, col] == pytest.approx(wanted_here, abs=5e-3)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(-0.3, 0.3), st.floats(0.6, 1.4), st.floats(-20.0, 40.0), st.floats(-20.0, 40.0))
 def test_places_one_by_one_give_what_rows_give(
     turn: float, stretch: float, down: float, right: float

@@ -97,14 +97,14 @@ def test_what_is_not_known_stays_unknown(dialect: str, tmp_path: Path) -> None:
     assert back.err_bias_m is back.err_rand_m is back.direct is back.validity is None
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.floats(-1e6, 1e6))
 def test_one_based_text_keeps_every_bit(value: float) -> None:
     assert from_one_based(Path("x"), "LINE_OFF", to_one_based(value)) == value
 
 
 @settings(
-    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
     numbers=st.lists(st.floats(1e-300, 1.0, allow_subnormal=False), min_size=19, max_size=19),
@@ -422,7 +422,7 @@ def test_a_failed_write_leaves_the_old_file(
 
 
 @settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data(), dialect=st.sampled_from(TEXTS))
 def test_random_damage_never_escapes_the_error_family(

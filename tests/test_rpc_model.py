@@ -104,7 +104,7 @@ def test_image_to_ground_to_image() -> None:
     assert np.abs(back.image_px - image).max() < 1e-7
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 2**31),
     size=st.floats(0.0, 5e-3),

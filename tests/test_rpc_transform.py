@@ -40,7 +40,7 @@ def error_px(old: RpcModel, new: RpcModel, affine: ImageAffine) -> float:
     return float(np.abs(found.image_px - affine.apply(image)).max())
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(line=st.floats(-500, 500), samp=st.floats(-500, 500))
 def test_a_shift_is_exact(line: float, samp: float, separate: RpcModel) -> None:
     found = bias_compensated(separate, (line, samp))

@@ -54,7 +54,7 @@ def test_low_pass_far_below_the_sampling_rate_equals_the_plain_one() -> None:
 
 
 @given(slope=st.floats(-1e3, 1e3), offset=st.floats(-1e3, 1e3), cutoff=st.floats(1e-3, 2.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_low_pass_keeps_straight_lines(slope: float, offset: float, cutoff: float) -> None:
     times = uneven_times(300, np.random.default_rng(3))
     line = slope * times + offset
@@ -184,7 +184,7 @@ def test_periodic_uneven_steps_bring_no_ghosts() -> None:
     phase=st.floats(-3.0, 3.0),
     amplitude=st.floats(0.5, 50.0),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_any_line_is_found(frequency: float, phase: float, amplitude: float) -> None:
     times = 100.0 + np.arange(1500) * 0.1
     values = amplitude * np.sin(2 * np.pi * frequency * (times - 100.0) + phase)

@@ -115,7 +115,7 @@ def test_signs_of_quaternions_do_not_matter() -> None:
     assert np.all(np.sum(one.quat_xyzw[1:] * one.quat_xyzw[:-1], axis=1) > 0.0)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(0, 10**9))
 def test_turning_the_inertial_frame_turns_the_fused_attitude(seed: int) -> None:
     rng = np.random.default_rng(seed)

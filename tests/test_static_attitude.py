@@ -93,7 +93,7 @@ def test_half_turns_are_no_singularity(method, axis: str, off_rad: float) -> Non
         assert apart.magnitude().max() < 1e-10
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.integers(0, 10**9), st.integers(2, 9))
 def test_turning_either_frame_turns_the_answer(seed: int, m: int) -> None:
     rng = np.random.default_rng(seed)

@@ -232,7 +232,7 @@ def mountains(tmp_path_factory: pytest.TempPathFactory) -> tuple[RasterTerrain, 
     return RasterTerrain(path), height
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(
     off=st.floats(0.0, 75.0),
     azimuth=st.floats(0.0, 360.0),
