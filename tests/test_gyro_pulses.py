@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geoposition.errors import ArgumentError, GeometryError
@@ -43,7 +43,6 @@ def test_counts_come_back_to_the_pulse_and_never_drift() -> None:
     assert found.rates_rad_s()[5] == pytest.approx(turning()[5] / 0.1, abs=4e-5)
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10**9), st.integers(3, 6))
 def test_any_axes_that_span_space_give_the_turn(seed: int, m: int) -> None:
     rng = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
@@ -47,7 +47,6 @@ def test_the_closed_form_truth_is_right() -> None:
     assert angle_between(solution.y[:, -1], coning_attitude(np.array([5.0]))) < 1e-11
 
 
-@settings(deadline=None)
 @given(vectors, vectors, vectors)
 def test_products_agree_with_scipy(p: np.ndarray, q: np.ndarray, v: np.ndarray) -> None:
     left, right = kinematics.quat_from_rotvec_xyzw(p), kinematics.quat_from_rotvec_xyzw(q)
@@ -56,7 +55,6 @@ def test_products_agree_with_scipy(p: np.ndarray, q: np.ndarray, v: np.ndarray) 
     assert product.apply(v) == pytest.approx(outside.apply(v), abs=1e-13)
 
 
-@settings(deadline=None)
 @given(vectors)
 def test_rotation_vectors_go_to_quaternions_and_back(rotvec: np.ndarray) -> None:
     quat = kinematics.quat_from_rotvec_xyzw(rotvec)
@@ -72,7 +70,6 @@ def test_tiny_turns_keep_their_digits() -> None:
     assert np.array_equal(kinematics.quat_from_rotvec_xyzw(np.zeros(3)), [0.0, 0.0, 0.0, 1.0])
 
 
-@settings(deadline=None)  # the first call compiles
 @given(vectors, vectors, st.floats(0.0, 5.0))
 def test_a_constant_rate_is_propagated_exactly(
     start: np.ndarray, rate: np.ndarray, step: float

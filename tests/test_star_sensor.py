@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -91,7 +91,6 @@ def test_runs_of_noise() -> None:
     assert np.std(error.as_quat(canonical=True)[:, :3]) == pytest.approx(5e-6, rel=0.02)
 
 
-@settings(deadline=None)
 @given(st.floats(0.0, 6.28), st.floats(-1.57, 1.57))
 def test_star_directions(alpha: float, delta: float) -> None:
     v = direction_of_star(alpha, delta)
