@@ -148,7 +148,7 @@ def test_a_cluster_gives_the_same_and_survives_a_worker(
 
     jobs = plan_of(folder, tmp_path).jobs
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None
+        n_workers=2, threads_per_worker=1, dashboard_address=":0"
     ) as cluster:
         statuses = []
         for outcome, last in run_on_cluster(jobs, cluster.scheduler_address, retries=1):

@@ -21,7 +21,7 @@ from geoposition.terrain import Terrain
 
 STRIP_ROWS: Final = 512
 
-_MAP_ROWS: Final = 8192
+_MAP_ROWS: Final = 2048
 
 ReadLines = Callable[[int, int], NDArray[Any]]
 """Lines first ... end − 1 of the source, as (bands, lines, samples)."""
@@ -88,14 +88,20 @@ def strips(
     read_lines: ReadLines,
     resampler: Resampler,
     rows: int = STRIP_ROWS,
+    span: tuple[int, int] | None = None,
 ) -> Iterator[Strip]:
-    """Make the target's image in strips of `rows` rows; the next lines are read meanwhile."""
+    """Make the target's image in strips of `rows` rows; the next lines are read meanwhile.
+
+    Of the image, the rows of `span`, first and end, are made: all if left out. A strip is the
+    same whatever the span that it is in, if that begins at a multiple of `block_rows(rows)`.
+    """
     if rows < 1 or not parts:
         raise ArgumentError("re-imaging: at least one part and one row a strip expected")
     source_lines = parts[0].mapping.source.shape[0]
     with ThreadPoolExecutor(max_workers=1) as reader:
         waiting: tuple[tuple[RowMap, ...], int, Future[NDArray[Any]]] | None = None
-        for maps in _row_maps(parts, rows):
+        whole = 0, parts[0].mapping.target.shape[0]
+        for maps in _row_maps(parts, rows, whole if span is None else span):
             first, end = _lines_of(maps, resampler.reach, source_lines)
             ahead = maps, first, reader.submit(read_lines, first, end)
             if waiting is not None:
@@ -105,13 +111,19 @@ def strips(
             yield _strip(parts, *waiting, resampler)
 
 
-def _row_maps(parts: Sequence[Part], rows: int) -> Iterator[tuple[RowMap, ...]]:
+def block_rows(rows: int) -> int:
+    """Rows that are mapped at once: whole strips of `rows` rows."""
+    return rows * max(_MAP_ROWS // rows, 1)
+
+
+def _row_maps(
+    parts: Sequence[Part], rows: int, span: tuple[int, int]
+) -> Iterator[tuple[RowMap, ...]]:
     """Give the maps of each part, strip by strip; they are made for many rows at a time."""
-    lines = parts[0].mapping.target.shape[0]
-    block = rows * max(_MAP_ROWS // rows, 1)
+    block = block_rows(rows)
     different = {id(part.mapping): part.mapping for part in parts}
-    for start in range(0, lines, block):
-        end = min(start + block, lines)
+    for start in range(*span, block):
+        end = min(start + block, span[1])
         made = {key: mapping.rows(start, end) for key, mapping in different.items()}
         for first in range(start, end, rows):
             last = min(first + rows, end)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from geoposition.arrays import FlagArray
 from geoposition.datum import utm_epsg
 from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.errors import ArgumentError, GeometryError, ProductError
@@ -24,12 +28,16 @@ from geoposition.rpc.model import RpcModel
 from geoposition.scripts.ortho_windows import ROWS, OrthoMaker, OrthoMethod, Tally
 from geoposition.scripts.product_images import check_size, nodata_of
 from geoposition.scripts.results import Progress
+from geoposition.scripts.row_windows import Split, settings_of, windows_rows, written_window
 from geoposition.scripts.scratch import scratch_beside
 from geoposition.sensor_model import SensorModel
 from geoposition.surface import is_geographic
 from geoposition.terrain import RasterTerrain
 
 _DEGREE_M: Final = 111320.0
+_PIXELS: Final = "ortho.tif"
+_FLAGS: Final = "flags.tif"
+_ARRAYS: Final = ("pixels", "flags", "error")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,22 +56,29 @@ class Request:
     bound_px: float = DEFAULT_BOUND_PX
     nodata: float | None = None
     compress: Compression = "zstd"
+    split: Split = field(default_factory=Split)
 
 
 def run(product: Product, request: Request, progress: Progress) -> dict[str, object]:
-    """Make the orthoimage and its flags; returns facts fit for JSON."""
+    """Make the orthoimage and its flags; returns facts fit for JSON.
+
+    With a window in `request.split` only its rows are made, and `request.output` is left alone.
+    """
+    if request.split.window is not None:
+        return _window(product, request, progress)
     begin = perf_counter()
     terrain = RasterTerrain(request.dem, request.geoid)
-    own = isinstance(product.model, RpcModel) and request.image == product.path
     flags_path = request.output.with_name(f"{request.output.stem}_flags.tif")
     with (
-        opened_image(request.image, crop=not own) as image,
+        _opened(product, request) as image,
         scratch_beside(request.output) as scratch,
     ):
-        check_size(product.model, image)
+        maker = _maker(product, terrain, image, request)
         grid = _grid(product.model, terrain, request)
-        task = OrthoTask(product.model, terrain, request.occlusion, request.bound_px)
-        tally = _written(task, grid, image, request, scratch, progress)
+        made = _rows(maker, grid, (0, grid.shape[0]))
+        if request.split.folders:
+            made = _rows_of_windows(product, request, grid)
+        tally = _write(made, maker, grid, request, scratch, progress)
         # the image last: where it is, all is
         (scratch / _FLAGS).replace(flags_path)
         (scratch / _PIXELS).replace(request.output)
@@ -91,24 +106,93 @@ def run(product: Product, request: Request, progress: Progress) -> dict[str, obj
     }
 
 
-_PIXELS: Final = "ortho.tif"
-_FLAGS: Final = "flags.tif"
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Rows of the map from `first` on: `pixels` (bands, rows, cols) and `flags` (rows, cols)."""
+
+    first: int
+    pixels: NDArray[Any]
+    flags: FlagArray
+    error_px: float
 
 
-def _written(
-    task: OrthoTask,
+def _rows(maker: OrthoMaker, grid: OrthoGrid, span: tuple[int, int]) -> Iterator[_Rows]:
+    for first in range(*span, ROWS):
+        tally = Tally()
+        pixels, flags = maker.rows(grid, first, tally)
+        yield _Rows(first, pixels, flags, tally.error_px)
+
+
+def _window(product: Product, request: Request, progress: Progress) -> dict[str, object]:
+    """Make the rows of one window of the map."""
+    window, folder = request.split.window, request.split.folders[0]
+    assert window is not None
+    terrain = RasterTerrain(request.dem, request.geoid)
+    with _opened(product, request) as image:
+        grid = _grid(product.model, terrain, request)
+        maker = _maker(product, terrain, image, request)
+        span = window.rows(grid.shape[0], ROWS)
+        with written_window(folder, _settings(product, request, grid), span) as put:
+            for rows in _rows(maker, grid, span):
+                arrays = rows.pixels, rows.flags, np.array(rows.error_px)
+                put(rows.first, dict(zip(_ARRAYS, arrays, strict=True)))
+                progress(rows.first + len(rows.flags) - span[0], span[1] - span[0])
+    return {
+        "product": str(product.path),
+        "image": str(request.image),
+        "crs": grid.crs,
+        "shape": list(grid.shape),
+        "window": [window.number, window.count],
+        "rows": list(span),
+        "output": str(folder),
+    }
+
+
+def _rows_of_windows(product: Product, request: Request, grid: OrthoGrid) -> Iterator[_Rows]:
+    """Take the rows of the map from windows that were made before."""
+    settings = _settings(product, request, grid)
+    for first, arrays in windows_rows(request.split.folders, settings, grid.shape[0], _ARRAYS):
+        pixels, flags, error = (arrays[name] for name in _ARRAYS)
+        yield _Rows(first, pixels, flags, float(error))
+
+
+def _settings(product: Product, request: Request, grid: OrthoGrid) -> dict[str, object]:
+    files = product.path, request.image, request.dem, request.geoid
+    return settings_of(files, grid.shape, {
+        "map": [grid.crs, grid.left, grid.top, grid.resolution],
+        "method": request.method,
+        "occlusion": request.occlusion,
+        "bound_px": request.bound_px,
+        "nodata": request.nodata,
+    })  # fmt: skip
+
+
+def _opened(product: Product, request: Request) -> AbstractContextManager[ImageFile]:
+    own = isinstance(product.model, RpcModel) and request.image == product.path
+    return opened_image(request.image, crop=not own)
+
+
+def _maker(
+    product: Product, terrain: RasterTerrain, image: ImageFile, request: Request
+) -> OrthoMaker:
+    check_size(product.model, image)
+    fill = nodata_of(image, request.nodata)
+    if fill is None and image.dtype.kind != "f":
+        fill = 0.0
+    task = OrthoTask(product.model, terrain, request.occlusion, request.bound_px)
+    return OrthoMaker(task, image, request.method, fill)
+
+
+def _write(
+    made: Iterable[_Rows],
+    maker: OrthoMaker,
     grid: OrthoGrid,
-    image: ImageFile,
     request: Request,
     folder: Path,
     progress: Progress,
 ) -> Tally:
     """Write image and flags into `folder`; while rows are made, those before are coded."""
-    fill = nodata_of(image, request.nodata)
-    if fill is None and image.dtype.kind != "f":
-        fill = 0.0
-    tally, rows = Tally(), grid.shape[0]
-    maker = OrthoMaker(task, image, request.method, fill)
+    tally, image, fill = Tally(), maker.image, maker.fill
     layout = Layout(
         grid.shape, image.bands, image.dtype.name, float("nan") if fill is None else fill,
         grid.crs, _transform(grid), bands_named=image.band_names,
@@ -120,15 +204,15 @@ def _written(
         ThreadPoolExecutor(max_workers=1) as writer,
     ):
         pending: list[Future[None]] = []
-        for first in range(0, rows, ROWS):
-            pixels, flags = maker.rows(grid, first, tally)
+        for rows in made:
+            tally.add(rows.error_px, rows.flags)
             for job in pending:
                 job.result()
             pending = [
-                writer.submit(pixels_file.write, pixels),
-                writer.submit(flags_file.write, flags[None]),
+                writer.submit(pixels_file.write, rows.pixels),
+                writer.submit(flags_file.write, rows.flags[None]),
             ]
-            progress(min(first + ROWS, rows), rows)
+            progress(rows.first + len(rows.flags), grid.shape[0])
         for job in pending:
             job.result()
         if not tally.flags[Flag.OK]:

@@ -31,9 +31,9 @@ class Tally:
     error_px: float = 0.0
     flags: Any = None
 
-    def add(self, places: OrthoPlaces, flag: FlagArray) -> None:
+    def add(self, error_px: float, flag: FlagArray) -> None:
         """Count in a window."""
-        self.error_px = max(self.error_px, places.error_px)
+        self.error_px = max(self.error_px, error_px)
         counts = np.array([np.count_nonzero(flag == value) for value in range(max(Flag) + 1)])
         self.flags = counts if self.flags is None else self.flags + counts
 
@@ -56,7 +56,7 @@ class OrthoMaker:
             here = slice(col, min(col + _COLS, cols))
             part = grid.window(first, col, rows, here.stop - col)
             pixels[:, :, here], flags[:, here], places = self.window(part)
-            tally.add(places, flags[:, here])
+            tally.add(places.error_px, flags[:, here])
         return pixels, flags
 
     def window(self, grid: OrthoGrid) -> tuple[NDArray[Any], FlagArray, OrthoPlaces]:

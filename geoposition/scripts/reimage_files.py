@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from geoposition.arrays import FloatArray
+from geoposition.arrays import FlagArray, FloatArray
 from geoposition.errors import GeometryError, GeopositionError
 from geoposition.product import Product
 from geoposition.pushbroom import PushbroomModel
@@ -18,7 +19,7 @@ from geoposition.reimage.cog import CogWriter, Compression, Layout, written_cog
 from geoposition.reimage.raster_files import ImageFile
 from geoposition.reimage.resample import Resampler
 from geoposition.reimage.steady import SteadyAttitude
-from geoposition.reimage.strips import Part, Strip, displacement_px, strips
+from geoposition.reimage.strips import Part, displacement_px, strips
 from geoposition.rpc.formats import write_rpc
 from geoposition.rpc.formats.geotiff import gdal_rpc
 from geoposition.rpc.model import RpcModel
@@ -45,20 +46,53 @@ class Made:
     valid: int
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Rows from `first_row` on as they are written: `pixels` (bands, rows, cols) and `valid`.
+
+    `moved_px` (rows, k, 2) are the displacements at `followed_columns`.
+    """
+
+    first_row: int
+    pixels: NDArray[Any]
+    valid: FlagArray
+    moved_px: FloatArray
+    error_px: float
+
+
+def followed_columns(samples: int) -> FloatArray:
+    """Columns (k,) at which displacements are followed."""
+    return np.unique(np.linspace(0, samples - 1, _PLACES).round())
+
+
+def rows_made(
+    parts: Sequence[Part],
+    image: ImageFile,
+    resampler: Resampler,
+    strip_rows: int,
+    span: tuple[int, int] | None = None,
+) -> Iterator[Rows]:
+    """Make the rows of the new image, or those of `span`."""
+    cols = followed_columns(parts[0].mapping.target.shape[1])
+    for strip in strips(parts, image.lines, resampler, strip_rows, span):
+        moved = displacement_px(parts, strip, cols)
+        yield Rows(strip.first_row, strip.pixels, strip.valid, moved, strip.error_px)
+
+
 def write_image(
     folder: Path,
     image: ImageFile,
-    parts: Sequence[Part],
+    shape: tuple[int, int],
+    made: Iterable[Rows],
     resampler: Resampler,
     rpc: RpcModel,
     tags: dict[str, str],
     compression: Compression,
-    strip_rows: int,
     progress: Progress,
 ) -> Made:
     """Write image, mask and displacements, strip by strip: reading, making, coding overlap."""
-    lines, samples = parts[0].mapping.target.shape
-    cols = np.unique(np.linspace(0, samples - 1, _PLACES).round())
+    lines, samples = shape
+    cols = followed_columns(samples)
     moved = np.empty((lines, len(cols), 2))
     error, valid = 0.0, 0
     layout = Layout(
@@ -72,9 +106,9 @@ def write_image(
         ThreadPoolExecutor(max_workers=1) as writer,
     ):
         pending: Future[None] | None = None
-        for strip in strips(parts, image.lines, resampler, strip_rows):
+        for strip in made:
             rows = slice(strip.first_row, strip.first_row + len(strip.valid))
-            moved[rows] = displacement_px(parts, strip, cols)
+            moved[rows] = strip.moved_px
             error, valid = max(error, strip.error_px), valid + int(np.count_nonzero(strip.valid))
             if pending is not None:
                 pending.result()
@@ -88,7 +122,7 @@ def write_image(
     return Made(cols, moved, error, valid)
 
 
-def _store(strip: Strip, pixels: CogWriter, seen: CogWriter) -> None:
+def _store(strip: Rows, pixels: CogWriter, seen: CogWriter) -> None:
     pixels.write(strip.pixels)
     seen.write(strip.valid[None])
 

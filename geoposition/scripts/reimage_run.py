@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Final
@@ -15,13 +15,10 @@ from geoposition.arrays import FloatArray
 from geoposition.errors import GeometryError, ProductError
 from geoposition.product import Product
 from geoposition.pushbroom import PushbroomModel
-from geoposition.reimage.cog import Compression
-from geoposition.reimage.mapping import DEFAULT_BOUND_PX
 from geoposition.reimage.raster_files import opened_image
-from geoposition.reimage.resample import Method, Resampler
-from geoposition.reimage.steady import SteadyAttitude, SteadyOptions, steady_model
-from geoposition.reimage.strips import STRIP_ROWS, Part, parts_of
-from geoposition.reimage.virtual import Segment, ideal_camera
+from geoposition.reimage.resample import Resampler
+from geoposition.reimage.steady import SteadyAttitude
+from geoposition.reimage.strips import block_rows
 from geoposition.rpc.fit import fit_model
 from geoposition.rpc.fit_build import RpcFit
 from geoposition.scripts.product_images import nodata_of
@@ -32,8 +29,14 @@ from geoposition.scripts.reimage_facts import (
     moved_facts,
     removed_facts,
 )
-from geoposition.scripts.reimage_files import STEM, write_image, write_models, write_removed
-from geoposition.scripts.reimage_input import AttitudeInput, jittered_model
+from geoposition.scripts.reimage_files import (
+    STEM,
+    Rows,
+    rows_made,
+    write_image,
+    write_models,
+    write_removed,
+)
 from geoposition.scripts.reimage_jitter import (
     ATTITUDE,
     JitterTable,
@@ -43,33 +46,16 @@ from geoposition.scripts.reimage_jitter import (
     match_lines,
     parallax_lines,
 )
+from geoposition.scripts.reimage_models import Request, models_of
 from geoposition.scripts.results import Progress, plain
+from geoposition.scripts.row_windows import settings_of, windows_rows, written_window
 from geoposition.scripts.scratch import publish_folder, scratch_beside
-from geoposition.terrain import RasterTerrain, Terrain
+
+__all__ = ["Request", "Run", "run"]
 
 _SUMMARY: Final = "reimage.json"
+_ARRAYS: Final = ("pixels", "valid", "moved", "error")
 _CAMERAS: Final = ("the same interior orientation", "one ideal straight line of pixels")
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What is asked of a run."""
-
-    image: Path
-    output: Path
-    attitude: AttitudeInput | None = None
-    dem: Path | None = None
-    geoid: Path | None = None
-    height_m: float | None = None
-    steady: SteadyOptions = field(default_factory=SteadyOptions)
-    ideal: bool = False
-    method: Method = "cubic"
-    bound_px: float = DEFAULT_BOUND_PX
-    nodata: float | None = None
-    compress: Compression = "zstd"
-    strip_rows: int = STRIP_ROWS
-    evaluation: Path | None = None
-    report: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +81,12 @@ class Run:
 
 
 def run(product: Product, request: Request, progress: Progress) -> dict[str, object]:
-    """Make everything in a folder beside `request.output`, then put it in its place."""
+    """Make everything in a folder beside `request.output`, then put it in its place.
+
+    With a window in `request.split` only its rows are made, and `request.output` is left alone.
+    """
+    if request.split.window is not None:
+        return _window(product, request, progress)
     target = request.output
     if target.exists() and not target.is_dir():
         raise ProductError(target, "", "a folder for the outputs expected, this is a file")
@@ -109,29 +100,24 @@ def _made(
     product: Product, request: Request, folder: Path, progress: Progress
 ) -> dict[str, object]:
     begin = perf_counter()
-    cutoff = request.steady.cutoff_hz
     with opened_image(request.image) as image:
-        jittered = jittered_model(product, image, request.attitude, cutoff)
-        steady, removed = steady_model(jittered, request.steady)
-        own = steady
+        models = models_of(product, request, image)
+        jittered, own, steady, removed = models.jittered, models.own, models.steady, models.removed
+        terrain, parts = models.terrain, models.parts
         matched = None if request.evaluation is None else match_lines(request.evaluation, own)
-        segments: Sequence[Segment] = ()
-        if request.ideal:
-            camera, segments = ideal_camera(steady.camera)
-            steady = replace(steady, camera=camera)
-        terrain = _terrain(product, request, jittered)
-        parts = _parts(steady, jittered, terrain, segments, request)
         heights = jittered.height_range_m
         before = _fitted(jittered)
         after = fit_model(steady, limit_px=np.inf)
         rpc = replace(after.model, satellite=_name(product))
         prepared = perf_counter()
         resampler = Resampler(request.method, nodata_of(image, request.nodata))
+        rows = rows_made(parts, image, resampler, request.strip_rows)
+        if request.split.folders:
+            rows = _rows_of_windows(product, request, steady.shape)
         tags = {"STEADY_ATTITUDE": request.steady.words, "RESAMPLING": request.method}
         made = write_image(
-            folder, image, parts, resampler, rpc, tags, request.compress, request.strip_rows,
-            progress,
-        )  # fmt: skip
+            folder, image, steady.shape, rows, resampler, rpc, tags, request.compress, progress
+        )
         imaged = perf_counter()
         sources = [parallax_lines(image, own, terrain)]
     write_models(steady, rpc, product, folder)
@@ -192,29 +178,54 @@ def _made(
     return summary
 
 
-def _parts(
-    steady: PushbroomModel,
-    jittered: PushbroomModel,
-    terrain: Terrain | float,
-    segments: Sequence[Segment],
-    request: Request,
-) -> tuple[Part, ...]:
-    try:
-        return parts_of(steady, jittered, terrain, segments, request.bound_px)
-    except GeometryError as error:
-        if request.dem is None:
-            raise
-        raise ProductError(request.dem, "", f"heights under the image expected ({error})") from None
+def _window(product: Product, request: Request, progress: Progress) -> dict[str, object]:
+    """Make the rows of one window of the new image."""
+    window, folder = request.split.window, request.split.folders[0]
+    assert window is not None
+    with opened_image(request.image) as image:
+        models = models_of(product, request, image)
+        shape = models.steady.shape
+        first, end = window.rows(shape[0], block_rows(request.strip_rows))
+        resampler = Resampler(request.method, nodata_of(image, request.nodata))
+        with written_window(folder, _settings(product, request, shape), (first, end)) as put:
+            span = first, end
+            for rows in rows_made(models.parts, image, resampler, request.strip_rows, span):
+                error = np.array(rows.error_px)
+                arrays = rows.pixels, rows.valid, rows.moved_px, error
+                put(rows.first_row, dict(zip(_ARRAYS, arrays, strict=True)))
+                progress(rows.first_row + len(rows.valid) - first, end - first)
+    return {
+        "product": str(product.path),
+        "image": str(request.image),
+        "shape": list(shape),
+        "window": [window.number, window.count],
+        "rows": [first, end],
+        "output": str(folder),
+    }
 
 
-def _terrain(product: Product, request: Request, model: PushbroomModel) -> Terrain | float:
-    if request.dem is not None:
-        return RasterTerrain(request.dem, request.geoid)
-    if request.height_m is not None:
-        return request.height_m
-    if product.vendor_rpc is not None:
-        return float(product.vendor_rpc.height_off_m)
-    return 0.5 * (model.height_range_m[0] + model.height_range_m[1])
+def _rows_of_windows(product: Product, request: Request, shape: tuple[int, int]) -> Iterator[Rows]:
+    """Take the rows of the new image from windows that were made before."""
+    settings = _settings(product, request, shape)
+    for first, arrays in windows_rows(request.split.folders, settings, shape[0], _ARRAYS):
+        pixels, valid, moved, error = (arrays[name] for name in _ARRAYS)
+        yield Rows(first, pixels, valid, moved, float(error))
+
+
+def _settings(product: Product, request: Request, shape: tuple[int, int]) -> dict[str, object]:
+    attitude = request.attitude
+    given = None if attitude is None else attitude.path
+    files = product.path, request.image, request.dem, request.geoid, given
+    return settings_of(files, shape, {
+        "attitude": str(attitude),
+        "steady": request.steady.words,
+        "ideal": request.ideal,
+        "method": request.method,
+        "bound_px": request.bound_px,
+        "nodata": request.nodata,
+        "height_m": request.height_m,
+        "strip_rows": request.strip_rows,
+    })  # fmt: skip
 
 
 def _name(product: Product) -> str:

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
 
-from geoposition.errors import ArgumentError
-from geoposition.scripts.batch.plan import Job
-from geoposition.scripts.batch.scene import Outcome, run_scene
+from geoposition.errors import ArgumentError, GeopositionError
+from geoposition.scripts.batch.jobs import Job, Outcome, Queue
+from geoposition.scripts.batch.scene import run_scene
 
 _CONNECT_S = 20.0
 
@@ -33,22 +34,30 @@ def run_on_cluster(
         raise ArgumentError(f"--scheduler: no Dask scheduler at {scheduler} ({error})") from None
     with client:
         _require_single_threads(client.scheduler_info(n_workers=-1))
-        tries = dict.fromkeys((job.id for job in jobs), 1)
-        by_future = {client.submit(run_scene, job, pure=False): job for job in jobs}
-        queue = as_completed(list(by_future), loop=client.loop)
-        for future in queue:
-            job = by_future.pop(future)
+        queue = Queue(jobs, retries)
+        running = as_completed(loop=client.loop)
+        jobs_of = {}
+
+        def submit() -> None:
+            while (job := queue.take()) is not None:
+                future = client.submit(run_scene, job, pure=False)
+                jobs_of[future] = job
+                running.add(future)
+
+        submit()
+        for future in running:
+            job = jobs_of.pop(future)
             try:
                 outcome: Outcome = future.result()
             except KilledWorker:
                 outcome = Outcome(job.id, "lost", "the workers that took it ended")
-            again = outcome.status in ("failed", "lost") and tries[job.id] <= retries
-            if again:
-                tries[job.id] += 1
-                future = client.submit(run_scene, job, pure=False)
-                by_future[future] = job
-                queue.add(future)
-            yield outcome, not again
+            except CancelledError:
+                raise GeopositionError(
+                    f"--scheduler: the scheduler at {scheduler} is gone; run the same command "
+                    "again, and what is done is kept"
+                ) from None
+            yield from queue.tell(job, outcome)
+            submit()
 
 
 def _require_single_threads(info: dict[str, dict[str, dict[str, int]]]) -> None:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
-from geoposition.scripts.batch.plan import Job
-from geoposition.scripts.batch.scene import Outcome, run_scene
+from geoposition.scripts.batch.jobs import Job, Outcome, Queue
+from geoposition.scripts.batch.scene import run_scene
 from geoposition.scripts.processes import threads_each
 
 
@@ -30,19 +29,18 @@ def run_locally(
     Yields every try's outcome and whether it is the scene's last. A worker that dies (killed,
     out of memory) costs its own scene one try.
     """
-    waiting = deque((job, 0) for job in jobs)
-    tries: dict[str, int] = {}
+    queue = Queue(jobs, retries)
     context = multiprocessing.get_context("spawn")
     with threads_each(threads):
         pool = [_started(context) for _ in range(min(workers, len(jobs)))]
         try:
-            while waiting or any(worker.job for worker in pool):
+            while queue or any(worker.job for worker in pool):
                 for worker in pool:
-                    if worker.job is None and waiting:
-                        worker.job, tries_so_far = waiting.popleft()
-                        tries[worker.job.id] = tries_so_far + 1
-                        with suppress(OSError):  # it died idle: seen below as lost
-                            worker.pipe.send(worker.job)
+                    if worker.job is None:
+                        worker.job = queue.take()
+                        if worker.job is not None:
+                            with suppress(OSError):  # it died idle: seen below as lost
+                                worker.pipe.send(worker.job)
                 busy = [worker for worker in pool if worker.job]
                 ready = wait([worker.pipe for worker in busy])
                 for place, worker in enumerate(pool):
@@ -52,11 +50,7 @@ def run_locally(
                     outcome = _received(worker, job)
                     if outcome.status == "lost":
                         pool[place] = _started(context)
-                    bad = outcome.status in ("failed", "lost")
-                    again = bad and tries[job.id] <= retries
-                    if again:
-                        waiting.append((job, tries[job.id]))
-                    yield outcome, not again
+                    yield from queue.tell(job, outcome)
         finally:
             for worker in pool:
                 worker.pipe.close()

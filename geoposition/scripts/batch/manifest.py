@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from geoposition.scripts.batch.plan import Job
-from geoposition.scripts.batch.scene import Outcome
+from geoposition.scripts.batch.jobs import Job, Outcome
 from geoposition.scripts.tables import whole_file
 
 NAME: Final = "manifest.json"
@@ -17,8 +16,12 @@ NAME: Final = "manifest.json"
 
 @dataclass(slots=True)
 class SceneState:
-    """One scene so far: `status` is waiting, retrying, done, kept (done before) or failed."""
+    """One scene so far: `status` is waiting, retrying, done, kept (done before) or failed.
 
+    `window` where it is but a window of one; windows are told, not counted.
+    """
+
+    window: bool = False
     status: str = "waiting"
     tries: int = 0
     seconds: float = 0.0
@@ -35,7 +38,8 @@ class Manifest:
     @classmethod
     def of(cls, output: Path, jobs: Sequence[Job]) -> Manifest:
         """Return the manifest of `jobs` before the first of them ran."""
-        return cls(output, {job.id: SceneState() for job in jobs})
+        windows = {part.id for job in jobs for part in job.after}
+        return cls(output, {job.id: SceneState(job.id in windows) for job in jobs})
 
     def record(self, outcome: Outcome, final: bool) -> None:
         """Take in the outcome of one try."""
@@ -48,12 +52,17 @@ class Manifest:
 
     def count(self, *statuses: str) -> int:
         """Scenes in one of `statuses`."""
-        return sum(scene.status in statuses for scene in self.scenes.values())
+        return sum(scene.status in statuses for scene in self.whole.values())
+
+    @property
+    def whole(self) -> dict[str, SceneState]:
+        """The scenes themselves, without their windows."""
+        return {name: scene for name, scene in self.scenes.items() if not scene.window}
 
     def facts(self) -> dict[str, object]:
         """Return counts and every scene's state, fit for JSON."""
         return {
-            "scenes": len(self.scenes),
+            "scenes": len(self.whole),
             "done": self.count("done", "kept"),
             "kept": self.count("kept"),
             "failed": self.count("failed"),

@@ -2,22 +2,23 @@
 
 A step is a command line of this program; {name} in it stands for the scene's key of that name,
 {id} for its id, {out} for its folder and {base} for the folder of RUN.toml, in which commands
-run.
+run. A scene may name the steps it goes through, and be split into windows of rows (`windows`).
 """
 
 from __future__ import annotations
 
 import glob
-import hashlib
-import json
 import re
 import shlex
+from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 from geoposition.errors import ProductError
+from geoposition.scripts.batch.jobs import Job
+from geoposition.scripts.batch.windows import MOST_WINDOWS, SPLIT, joined, window_names
 from geoposition.tomlfile import TomlNode, read_toml
 
 EXAMPLE: Final = """\
@@ -44,11 +45,14 @@ product = "north/IMG.XML"
 
 [[scene]]
 product = "strip_*/*.XML" # one scene per match, named after it
+steps = ["rpc"]           # of the above; all of them if left out
+# windows = 4             # reimage and ortho: rows in so many parts, by as many workers
 """
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _PLACEHOLDER: Final = re.compile(r"\{([A-Za-z_]\w*)\}")
 _TAKEN: Final = {"out", "base"}
+_NOT_TEXT: Final = {"steps", "windows"}
 _MOST_RETRIES: Final = 100
 _MOST_WORKERS: Final = 4096
 
@@ -62,32 +66,8 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
-    """One scene: what a worker needs to run it, and nothing else.
-
-    `commands` are (name, arguments) with all placeholders filled in; `base` is the folder they
-    run in; `folder` is where the scene's files go.
-    """
-
-    id: str
-    base: str
-    folder: str
-    commands: tuple[tuple[str, tuple[str, ...]], ...]
-
-    def digest(self) -> str:
-        """Fingerprint of the commands and of the files they name: their sizes and times."""
-        found: list[object] = [self.base, self.commands]
-        for argument in sorted({a for _, arguments in self.commands for a in arguments}):
-            path = Path(self.base) / argument
-            if not path.is_relative_to(self.folder) and path.exists():
-                facts = path.stat()
-                found.append((argument, facts.st_size, facts.st_mtime_ns))
-        return hashlib.sha256(json.dumps(found).encode()).hexdigest()
-
-
-@dataclass(frozen=True, slots=True)
 class Plan:
-    """What to run: jobs in the file's order, their folder, and how hard to try."""
+    """What to run: a job for each scene in the file's order, their folder, how hard to try."""
 
     output: Path
     jobs: tuple[Job, ...]
@@ -116,10 +96,18 @@ def read_plan(path: Path, commands: frozenset[tuple[str, ...]], output: Path | N
     shared = _texts(root.child("defaults")) if root.has("defaults") else {}
     jobs = []
     for node in root.children("scene"):
+        own_steps = _chosen(node, steps)
+        count = _windows(node, own_steps)
         for name, keys in _scenes(node, shared, base):
-            jobs.append(_job(node, name, keys, steps, base, folder))
-    names = [job.id.casefold() for job in jobs]
-    twice = next((job.id for job in jobs if names.count(job.id.casefold()) > 1), None)
+            job = _job(node, name, keys, own_steps, base, folder / name)
+            if count > 1:
+                job = joined(job, [
+                    replace(_job(node, name, keys, own_steps, base, folder / part), id=part)
+                    for part in window_names(name, count)
+                ])  # fmt: skip
+            jobs.append(job)
+    names = Counter(part.id.casefold() for job in jobs for part in (job, *job.after))
+    twice = next((job.id for job in jobs if names[job.id.casefold()] > 1), None)
     if twice is not None:
         raise ProductError(path, "scene.id", f"two scenes are called {twice!r}")
     return Plan(folder, tuple(jobs), workers, retries)
@@ -156,10 +144,30 @@ def _steps(root: TomlNode, commands: frozenset[tuple[str, ...]]) -> list[Step]:
     return steps
 
 
+def _chosen(node: TomlNode, steps: list[Step]) -> list[Step]:
+    """Return the steps that a scene names, in the file's order; all if it names none."""
+    names = node.data.get("steps", [step.name for step in steps])
+    known = {step.name for step in steps}
+    if not isinstance(names, list) or not names or not set(map(str, names)) <= known:
+        node.refuse("steps", f"a list of {', '.join(sorted(known))} expected, got {names}")
+    return [step for step in steps if step.name in names]
+
+
+def _windows(node: TomlNode, steps: list[Step]) -> int:
+    """Windows of a scene; 1 if it stays whole."""
+    if not node.has("windows"):
+        return 1
+    if not any(step.arguments[0] in SPLIT for step in steps):
+        node.refuse("windows", f"a step that can be split ({', '.join(sorted(SPLIT))}) expected")
+    return node.whole("windows", 1, MOST_WINDOWS)
+
+
 def _texts(node: TomlNode) -> dict[str, str]:
     """Values of a table as the command line has them."""
     found = {}
     for key, value in node.data.items():
+        if key in _NOT_TEXT:
+            continue
         if isinstance(value, bool) or not isinstance(value, str | int | float):
             node.refuse(key, "a string or a number expected")
         if key in _TAKEN:
@@ -198,10 +206,9 @@ def _name_of(path: Path) -> str:
 
 
 def _job(
-    node: TomlNode, name: str, keys: Mapping[str, str], steps: list[Step], base: Path, output: Path
+    node: TomlNode, name: str, keys: Mapping[str, str], steps: list[Step], base: Path, folder: Path
 ) -> Job:
-    folder = str(output / name)
-    known = {**keys, "id": name, "out": folder, "base": str(base)}
+    known = {**keys, "id": name, "out": str(folder), "base": str(base)}
     for step in steps:
         for key in _PLACEHOLDER.findall(" ".join(step.arguments)):
             if key not in known:
@@ -210,4 +217,4 @@ def _job(
         (step.name, tuple(_PLACEHOLDER.sub(lambda m: known[m[1]], word) for word in step.arguments))
         for step in steps
     )
-    return Job(name, str(base), folder, commands)
+    return Job(name, str(base), str(folder), commands)

@@ -13,12 +13,11 @@ import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from geoposition.errors import ProductError
-from geoposition.scripts.batch.plan import Job
+from geoposition.scripts.batch.jobs import Job, Outcome, Status
 from geoposition.scripts.file_locks import wait_for_lock
 from geoposition.scripts.tables import whole_file
 
@@ -27,18 +26,6 @@ STATE: Final = ".batch"
 """Folder beside the scenes for locks and the journal."""
 _BEGUN: Final = ".begun"
 _LAST_LINE: Final = 500
-
-Status = Literal["done", "kept", "failed", "lost"]
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of one try: `kept` was done before; `lost` took its worker with it."""
-
-    id: str
-    status: Status
-    message: str = ""
-    seconds: float = 0.0
 
 
 def run_scene(job: Job) -> Outcome:
@@ -51,6 +38,7 @@ def run_scene(job: Job) -> Outcome:
         with _locked(state / f"{job.id}.lock"):
             digest = job.digest()
             if is_done(folder, digest):
+                _drop_windows(job)
                 return Outcome(job.id, "kept")
             _journal(state, job.id, "begun")
             _fresh(folder)
@@ -58,12 +46,19 @@ def run_scene(job: Job) -> Outcome:
             if not message:
                 _mark(folder, job, digest)
                 (folder / _BEGUN).unlink()
+                _drop_windows(job)
             seconds = time.perf_counter() - begin
             status: Status = "failed" if message else "done"
             _journal(state, job.id, status)
             return Outcome(job.id, status, message, round(seconds, 3))
     except (OSError, ProductError) as error:
         return Outcome(job.id, "failed", f"{job.id}: {error}")
+
+
+def _drop_windows(job: Job) -> None:
+    """Remove the windows of a scene that is done: as many bytes as the image has."""
+    for part in job.after:
+        shutil.rmtree(part.folder, ignore_errors=True)
 
 
 def is_done(folder: Path, digest: str) -> bool:
