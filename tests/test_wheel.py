@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import email
 import subprocess
 import sys
 import venv
@@ -9,6 +10,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+import geoposition
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -32,6 +35,19 @@ def test_wheel_holds_one_package(wheel: Path) -> None:
     assert "geoposition/py.typed" in names
     assert any(name.startswith("geoposition/scripts/templates/") for name in names)
     assert not [name for name in names if "__pycache__" in name or name.endswith(".nbi")]
+
+
+def test_wheel_says_where_it_runs(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        name = next(name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        facts = email.message_from_bytes(archive.read(name))
+    assert facts["Version"] == geoposition.__version__
+    assert facts["Requires-Python"] == ">=3.11"
+    classifiers = facts.get_all("Classifier", [])
+    versions = {c.rpartition(" ")[2] for c in classifiers if c.startswith("Programming Language")}
+    assert versions == {"3", "3.11", "3.12", "3.13"}
+    assert "Typing :: Typed" in classifiers
+    assert not [word for word in facts.get_all("Requires-Dist", []) if "@" in word]
 
 
 def test_console_command_in_a_clean_environment(wheel: Path, tmp_path: Path) -> None:

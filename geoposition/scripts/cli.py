@@ -7,33 +7,25 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
+from typing import Any
 
 import typer
 
 import geoposition
 from geoposition.errors import GeopositionError
-from geoposition.scripts.first_run import say_what_it_waits_for
+from geoposition.scripts.first_run import prepare
 
-app = typer.Typer(
-    name="geoposition",
-    help="From push-broom images, ephemeris and attitude to ground positions of known accuracy.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+Callback = Callable[..., Any]
 
+_HELP = "From push-broom images, ephemeris and attitude to ground positions of known accuracy."
 _GROUPS = {
-    name: typer.Typer(help=text, no_args_is_help=True)
-    for name, text in (
-        ("rpc", "Rational polynomial coefficients: fit, compare, convert."),
-        ("attitude", "Attitude from star sensors and gyros: check, fuse, convert, find jitter."),
-        ("experiment", "The seed documents' tables, beside ours and the bound."),
-    )
+    "rpc": "Rational polynomial coefficients: fit, compare, convert.",
+    "attitude": "Attitude from star sensors and gyros: check, fuse, convert, find jitter.",
+    "experiment": "The seed documents' tables and real samples: ours, theirs and the bound.",
 }
-for _name, _group in _GROUPS.items():
-    app.add_typer(_group, name=_name)
+_HELP_OPTIONS = ("-h", "--help")
 
 _COMMANDS = (
     "demo",
@@ -64,17 +56,17 @@ _COMMANDS = (
     "experiment_thesis_ch4",
     "experiment_thesis",
     "experiment_jitter",
+    "experiment_real",
 )
 
 
-@app.callback(invoke_without_command=True)
 def _main(
     version: bool = typer.Option(False, "--version", help="Show the version and exit."),
 ) -> None:
     if version:
         typer.echo(geoposition.__version__)
         raise typer.Exit
-    say_what_it_waits_for(sys.argv[1:])
+    prepare(sys.argv[1:])
 
 
 def command_words() -> frozenset[tuple[str, ...]]:
@@ -88,16 +80,58 @@ def _words_of(name: str) -> tuple[str, ...]:
     return tuple(word.replace("_", "-") for word in words)
 
 
-def build() -> typer.Typer:
-    """Return the application with all commands registered."""
-    for name in _COMMANDS:
-        module = import_module(f"geoposition.scripts.commands.{name}")
-        *group, command = _words_of(name)
-        target = _GROUPS[group[0]] if group else app
-        registered = {entry.name for entry in target.registered_commands}
-        if command not in registered:
-            target.command(command)(module.command)
+def build(names: Iterable[str] = _COMMANDS) -> typer.Typer:
+    """Return the application with the commands `names`, as their modules are called."""
+    return _assembled({name: _callback(name) for name in names})
+
+
+def _listing() -> typer.Typer:
+    """Return the application as far as help shows it: what commands take is left out."""
+    return _assembled({name: _stand_in(_callback(name)) for name in _COMMANDS})
+
+
+def _for(arguments: Sequence[str]) -> typer.Typer:
+    """Return what `arguments` need of the application: to read all signatures takes a while."""
+    words = tuple(arguments)
+    called = [name for name in _COMMANDS if words[: len(_words_of(name))] == _words_of(name)]
+    if called:
+        return build(called)
+    if not words or words[-1] in (*_GROUPS, *_HELP_OPTIONS, "--version"):
+        return _listing()
+    return build()
+
+
+def _assembled(callbacks: Mapping[str, Callback]) -> typer.Typer:
+    app = typer.Typer(
+        name="geoposition",
+        help=_HELP,
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": list(_HELP_OPTIONS)},
+    )
+    app.callback(invoke_without_command=True)(_main)
+    groups = {name: typer.Typer(help=text, no_args_is_help=True) for name, text in _GROUPS.items()}
+    for name, group in groups.items():
+        app.add_typer(group, name=name)
+    for name, callback in callbacks.items():
+        *above, command = _words_of(name)
+        target = groups[above[0]] if above else app
+        target.command(command)(callback)
     return app
+
+
+def _callback(name: str) -> Callback:
+    callback: Callback = import_module(f"geoposition.scripts.commands.{name}").command
+    return callback
+
+
+def _stand_in(callback: Callback) -> Callback:
+    def command() -> None:
+        raise AssertionError("a listing was called")
+
+    command.__doc__ = callback.__doc__
+    return command
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -108,8 +142,9 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     try:
-        command = typer.main.get_command(build())
-        result = command.main(args=arguments, prog_name="geoposition", standalone_mode=False)
+        words = sys.argv[1:] if arguments is None else arguments
+        command = typer.main.get_command(_for(words))
+        result = command.main(args=words, prog_name="geoposition", standalone_mode=False)
         return int(result) if isinstance(result, int) else 0
     except typer.Exit as stop:
         return int(stop.exit_code)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from geoposition.flags import Flag
 from geoposition.scripts.demo_data import DemoResult, Intersection, Measured
 from geoposition.scripts.demo_folder import MARK_KEY
 from geoposition.scripts.demo_sanity import ground_sample_m, zenith_deg
+from geoposition.scripts.results import rounded
 from geoposition.scripts.tables import write_table
 from geoposition.sensors.simulate import ARCSEC_RAD
 from geoposition.sensors.writers.model_file import write_model_file
@@ -69,10 +69,7 @@ def _tie_columns(*groups: Measured) -> dict[str, Any]:
 
 
 def as_json(result: DemoResult) -> dict[str, object]:
-    """Every figure of the report by name, to six decimals; the same for the same seed.
-
-    What is cut off is rounding: it differs with the instructions that the compiler chose.
-    """
+    """Every figure of the report by name, to six decimals; the same for the same seed."""
     options = asdict(result.options)
     options["scene"]["corrections"] = result.options.scene.corrections.describe()
     scene = result.scene
@@ -118,18 +115,8 @@ def as_json(result: DemoResult) -> dict[str, object]:
         "single_image": {name: part.as_dict() for name, part in result.single.items()},
         "one_arcsecond": [asdict(line) for line in result.sensitivity],
     }
-    return {name: _rounded(value) for name, value in figures.items()}
-
-
-def _rounded(value: object) -> object:
-    """Return `value` with all its floats to six decimals: micrometres, millionths of a pixel."""
-    if isinstance(value, float):
-        return round(value, 6)
-    if isinstance(value, Mapping):
-        return {name: _rounded(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(item) for item in value]
-    return value
+    facts: dict[str, object] = rounded(figures)
+    return facts
 
 
 def _intersection(part: Intersection) -> dict[str, object]:
