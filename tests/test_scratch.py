@@ -53,6 +53,17 @@ def test_a_killed_run_leaves_nothing_in_place_and_the_next_clears_up(tmp_path: P
     assert {path.name for path in target.iterdir()} == {"image.tif", "done.json"}
 
 
+def test_a_folder_replaces_that_of_an_earlier_run(tmp_path: Path) -> None:
+    target = tmp_path / "out"
+    for name in ("first", "second"):
+        with scratch_beside(target) as mine:
+            (mine / "chain").mkdir()
+            (mine / "chain" / name).touch()
+            (mine / "done.json").touch()
+            publish_folder(mine, target, "done.json")
+    assert [path.name for path in (target / "chain").iterdir()] == ["second"]
+
+
 def test_an_error_leaves_nothing(tmp_path: Path) -> None:
     def broken_off() -> None:
         with scratch_beside(tmp_path / "out") as folder:

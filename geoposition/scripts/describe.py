@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from geoposition.arrays import FloatArray
@@ -39,6 +41,13 @@ def describe(product: Product) -> dict[str, object]:
     facts["image"] = None if product.image_path is None else str(product.image_path)
     facts["details"] = dict(product.details)
     return facts
+
+
+def outline(facts: Mapping[str, object]) -> dict[str, object]:
+    """Return the footprint of `facts` for people: its corners, not the polygon of GeoJSON."""
+    footprint = facts["footprint"]
+    assert isinstance(footprint, Mapping)
+    return {name: value for name, value in footprint.items() if name != "geojson"}
 
 
 def ground_sample(model: SensorModel) -> dict[str, object]:

@@ -29,6 +29,7 @@ from geoposition.errors import ArgumentError, GeometryError
 from geoposition.flags import has_result
 from geoposition.longitudes import middle_of
 from geoposition.matching import ImageSource, MatchOptions, match_images
+from geoposition.observations import TiePoints
 from geoposition.product import Product
 from geoposition.scripts.dsm_agreement import Agreement, agree, require_own_images
 from geoposition.scripts.product_images import image_of
@@ -75,9 +76,17 @@ class Request:
 
 
 def run(
-    products: Sequence[Product], images: Sequence[Path], request: Request, progress: Progress
+    products: Sequence[Product],
+    images: Sequence[Path],
+    request: Request,
+    progress: Progress,
+    ties: TiePoints | None = None,
 ) -> dict[str, object]:
-    """Make the surface, and the point cloud if asked for; returns facts fit for JSON."""
+    """Make the surface, and the point cloud if asked for; returns facts fit for JSON.
+
+    `ties`, found by matching unless given, say how the images lie to each other and how high
+    the ground is.
+    """
     begin = perf_counter()
     if request.heights_m is not None and not request.heights_m[0] < request.heights_m[1]:
         raise ArgumentError(f"--heights: low to high expected, got {request.heights_m}")
@@ -85,8 +94,9 @@ def run(
         is_geographic(_crs_name(request.crs))
     sources = _sources(products, images)
     models = [product.model for product in products]
-    options = MatchOptions(heights_m=request.heights_m, **_MATCHING)
-    ties = match_images(sources, models, options, progress)
+    if ties is None:
+        options = MatchOptions(heights_m=request.heights_m, **_MATCHING)
+        ties = match_images(sources, models, options, progress)
     agreement = agree(models, ties)
     require_own_images(products, models, ties, agreement)
     reference = _reference(request, agreement)

@@ -29,11 +29,11 @@ def run(name: str, runs: int, seed: int | None, folder: Path | None, json: bool)
     result: dict[str, Any] = {
         "experiment": name,
         **plain(found.as_json()),
-        "elapsed_s": round(time.perf_counter() - begun, 2),
     }
     if folder is not None:
-        result["output"] = str(folder)
         _write(folder, name, result)
+        result["output"] = str(folder)
+    result["elapsed_s"] = round(time.perf_counter() - begun, 2)
     if json:
         print_json(result)
     else:

@@ -11,12 +11,11 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from geoposition.errors import ProductError
-from geoposition.scripts.results import plain, print_json, progress_bar
+from geoposition.scripts.results import plain, print_json, progress_bar, rounded
 from geoposition.scripts.tables import whole_file
 
 FULL_RUNS: Final = 200
 QUICK_RUNS: Final = 16
-_DECIMALS: Final = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +37,12 @@ def run(wanted: Request, json: bool) -> None:
     with ExitStack() as stack:
         folder = wanted.output or Path(stack.enter_context(TemporaryDirectory(prefix="thesis-")))
         result, text = _work(wanted, folder, json)
-        result["elapsed_s"] = round(time.perf_counter() - begun, 2)
         if wanted.output is not None:
-            result["output"] = str(folder)
             _write(folder / "thesis.html", text)
+            # Without what differs from run to run, so that two runs of one seed are the same.
             _write(folder / "thesis.json", dumps(result, indent=1, ensure_ascii=False))
+            result["output"] = str(folder)
+    result["elapsed_s"] = round(time.perf_counter() - begun, 2)
     if json:
         print_json(result)
     else:
@@ -75,17 +75,6 @@ def _work(wanted: Request, folder: Path, quiet: bool) -> tuple[dict[str, Any], s
     }
     head = {"experiment": "thesis", "seed": wanted.seed}
     return head | rounded(plain(result)), page(done, tables, checks, made, folder, wanted.seed)
-
-
-def rounded(value: Any) -> Any:
-    """All floats to six decimals: what is cut off is rounding of the machine's."""
-    if isinstance(value, float):
-        return round(value, _DECIMALS)
-    if isinstance(value, dict):
-        return {name: rounded(item) for name, item in value.items()}
-    if isinstance(value, list):
-        return [rounded(item) for item in value]
-    return value
 
 
 def _make(folder: Path) -> None:

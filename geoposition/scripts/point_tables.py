@@ -38,6 +38,20 @@ def ground_columns(ground: GroundPoints) -> dict[str, Column]:
     }
 
 
+def write_ground(
+    path: Path, ids: Column, geodetic: FloatArray, sigma_m: float | None = None
+) -> None:
+    """Write known ground points (n, 3) as id,lon,lat,height: a table of control or checks.
+
+    With `sigma_m` along each axis as sigma_e,sigma_n,sigma_u where it is given.
+    """
+    ground = GroundPoints(geodetic, np.full(len(geodetic), Flag.OK, dtype=np.uint8))
+    columns: dict[str, Column] = {"id": np.asarray(ids, dtype=np.str_), **ground_columns(ground)}
+    if sigma_m is not None:
+        columns |= {f"sigma_{axis}": np.full(len(geodetic), sigma_m) for axis in "enu"}
+    write_table(path, columns)
+
+
 def flag_counts(flags: FlagArray) -> dict[str, int]:
     """How many points have each flag, `ok` first."""
     values, counts = np.unique(flags, return_counts=True)

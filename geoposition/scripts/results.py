@@ -71,25 +71,32 @@ def print_facts(title: str, facts: Mapping[str, object]) -> None:
 
 
 def _empty(value: object) -> bool:
-    """Whether there is nothing to say: no value, no entries, or classes that count none."""
+    """Whether there is nothing to say: no value or number, no entries, classes that count none."""
     if isinstance(value, Mapping):
         return value.get("count") == 0 or all(_empty(item) for item in value.values())
+    if isinstance(value, (float, np.floating)):
+        return bool(np.isnan(value))
     return value is None or (isinstance(value, (list, tuple)) and all(map(_empty, value)))
 
 
 def _words(value: object) -> str:
     if isinstance(value, Mapping):
-        parts = [f"{name}: {_words(item)}" for name, item in value.items() if not _empty(item)]
+        parts = [f"{name}: {_line(item)}" for name, item in value.items() if not _empty(item)]
         return "\n".join(parts)
     if isinstance(value, (float, np.floating)):
         return f"{value:.10g}"
     if isinstance(value, (list, tuple)):
         if any(isinstance(item, Mapping) for item in value):
             # One line for each of several like things.
-            lines = (_words(item).replace("\n", ", ") for item in value if not _empty(item))
-            return "\n".join(lines)
+            return "\n".join(_line(item) for item in value if not _empty(item))
         return ", ".join(_words(item) for item in value)
     return str(value)
+
+
+def _line(value: object) -> str:
+    """One line for what stands below a name; classes that are alike keep a line each."""
+    text = _words(value)
+    return text.replace("\n", ", ") if isinstance(value, Mapping) else text
 
 
 @contextmanager

@@ -23,6 +23,9 @@ from geoposition.scripts.figures import (
 _MOST_CELLS: Final = 90
 _POINTS_PER_CELL: Final = 2.0
 _DENSITY_CELLS: Final = 24
+_PANEL_IN: Final = 2.7
+_AROUND_IN: Final = 1.2
+"""Width of a map, and what labels and scales below it take, inches."""
 
 
 def footprints(
@@ -105,7 +108,11 @@ def height_maps(terrain: HeightMap, differences: Mapping[str, HeightMap]) -> byt
     """Beside each other: heights on a grid, and signed differences by name, each with its scale."""
     with mpl.rc_context(STYLE):
         count = 1 + len(differences)
-        figure = Figure(figsize=(max(3.3 * count, 5.0), 3.8), layout="constrained")
+        east_m, north_m = terrain.metres_per_degree
+        west, east, south, north = terrain.extent_deg
+        shape = (north - south) * north_m / ((east - west) * east_m)
+        high = _AROUND_IN + float(np.clip(_PANEL_IN * shape, 0.8, 4.0))
+        figure = Figure(figsize=(max(3.3 * count, 5.0), high), layout="constrained")
         row = np.atleast_1d(figure.subplots(1, count, sharey=True))
         _one_map(figure, row[0], terrain, "Heights found", "ellipsoidal height, m", None)
         row[0].set_ylabel("latitude, °")

@@ -15,7 +15,7 @@ from geoposition.error_budget import ModelError
 from geoposition.errors import ArgumentError
 from geoposition.flags import Flag, flag_labels
 from geoposition.intersect import MIN_CONVERGENCE_RAD
-from geoposition.matching import match_images
+from geoposition.matching import MatchOptions, match_images
 from geoposition.observations import TiePoints
 from geoposition.product import Product
 from geoposition.scripts.point_tables import flag_counts, ground_columns
@@ -85,7 +85,10 @@ class StereoRun:
 
 
 def match_products(
-    products: Sequence[Product], images: Sequence[Path], progress: Progress
+    products: Sequence[Product],
+    images: Sequence[Path],
+    progress: Progress,
+    options: MatchOptions | None = None,
 ) -> TiePoints:
     """Tie points of all products, found in their images."""
     if images and len(images) != len(products):
@@ -93,7 +96,7 @@ def match_products(
     sources = [
         image_of(product, images[i] if images else None) for i, product in enumerate(products)
     ]
-    return match_images(sources, [product.model for product in products], progress=progress)
+    return match_images(sources, [product.model for product in products], options, progress)
 
 
 def intersect(

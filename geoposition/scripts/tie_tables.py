@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -19,7 +20,12 @@ from geoposition.scripts.control_files import (
     read_match_file,
 )
 from geoposition.scripts.image_names import ImageNames
-from geoposition.scripts.tables import Column, read_table
+from geoposition.scripts.tables import PARQUET_SUFFIXES, Column, read_table, write_table
+
+TIE_SUFFIXES: Final = (".csv", *sorted(PARQUET_SUFFIXES))
+"""Endings of tables of ties that are written."""
+_PIXEL_DIGITS: Final = 4
+"""Decimals of written image points: far below what any measurement of them reaches."""
 
 
 def read_ties(path: Path, products: Sequence[Path]) -> TiePoints:
@@ -62,6 +68,30 @@ def _pair_of(path: Path, names: ImageNames) -> tuple[int, int]:
     if len(names.files) == 2:
         return 0, 1
     raise ProductError(path, "name", "two images, or a name LEFT__RIGHT that tells them, expected")
+
+
+def write_ties(path: Path, tables: Sequence[TiePoints], names: Sequence[str]) -> None:
+    """Write id,product,row,col of all `tables`; `names` are those of the images in order."""
+    ids = [ties.ids.astype(np.str_) for ties in tables]
+    products = [np.array(names, dtype=np.str_)[ties.product] for ties in tables]
+    image = np.round(np.concatenate([ties.image_px for ties in tables]), _PIXEL_DIGITS)
+    write_table(
+        path,
+        {
+            "id": np.concatenate(ids),
+            "product": np.concatenate(products),
+            "row": image[:, 0],
+            "col": image[:, 1],
+        },
+    )
+
+
+def names_for(products: Sequence[Path]) -> list[str]:
+    """Names for a table that tell `products` apart: stems, else file names, else places."""
+    for spelled in ([path.stem for path in products], [path.name for path in products]):
+        if len(set(spelled)) == len(products):
+            return spelled
+    return [str(k) for k in range(len(products))]
 
 
 @dataclass(frozen=True, slots=True)

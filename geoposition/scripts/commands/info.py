@@ -31,7 +31,7 @@ def command(
     """
     from geoposition.errors import ArgumentError
     from geoposition.scripts.budget import budgets, print_budget
-    from geoposition.scripts.describe import describe
+    from geoposition.scripts.describe import describe, outline
     from geoposition.scripts.results import print_facts, print_json
     from geoposition.sensors.readers import open_product
 
@@ -43,7 +43,7 @@ def command(
     if json:
         print_json(facts | found)
         return
-    print_facts(str(product), facts)
+    print_facts(str(product), facts | {"footprint": outline(facts)})
     for name in ("budget", "pair_budget"):
         lines = found.get(name)
         if isinstance(lines, dict):

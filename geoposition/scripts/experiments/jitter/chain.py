@@ -24,8 +24,6 @@ from geoposition.sensors.attitude_determination.jitter.lines import Jitter
 from geoposition.sensors.attitude_determination.signal.low_pass import low_pass
 from geoposition.sensors.readers import open_product
 
-"""Told which share of a scene's work is done."""
-
 _FIGURE_S: Final = 0.1
 _FIGURE_HZ: Final = 100.0
 _SLOW_HZ: Final = 5.0

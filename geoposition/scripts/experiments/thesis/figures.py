@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Final
 
 import matplotlib as mpl
 import numpy as np
-import rasterio
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from geoposition.datum import from_crs
-from geoposition.flags import has_result
 from geoposition.scripts.experiments.thesis.attitude_chain import AttitudeChain
 from geoposition.scripts.experiments.thesis.fusion import KINDS, Kind
 from geoposition.scripts.experiments.thesis.imaged import Imaged
 from geoposition.scripts.experiments.thesis.numerical import Numerical
-from geoposition.scripts.figures import COLOURS, HEIGHT_MAP, SIGNED_MAP, STYLE, png
+from geoposition.scripts.figures import COLOURS, STYLE, png
 from geoposition.sensors.attitude_determination.jitter.lines import AXES
 from geoposition.sensors.simulate import ARCSEC_RAD
-from geoposition.terrain import RasterTerrain
 
 NAMES: Final[dict[Kind, str]] = {
     "raw": "raw star attitude",
     "fused": "fused attitude",
     "true": "true attitude",
 }
-_MOST_CELLS: Final = 600
 
 
 def runs_rmse(done: Numerical, limit_m: float) -> bytes:
@@ -100,36 +93,4 @@ def attitude_errors(made: Imaged) -> bytes:
             axes.set_ylabel(f"{name}, ″")
         column[0].legend(loc="upper right", ncols=3, fontsize=7)
         column[-1].set_xlabel("seconds from the pass over the field (images shaded)")
-        return png(figure)
-
-
-def surface_difference(folder: Path) -> bytes:
-    """Draw the surface, and its difference from the field's DEM, side by side."""
-    with rasterio.open(folder / "dsm.tif") as file:
-        step = max(1, -(-max(file.shape) // _MOST_CELLS))
-        height = file.read(1)[::step, ::step].astype(np.float64)
-        transform, crs = file.transform, file.crs.to_string()
-    rows, cols = np.indices(height.shape) * step + 0.5
-    x, y = transform @ (cols, rows)
-    place = from_crs(crs, np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3))
-    found = RasterTerrain(folder / "dem.tif").height_at(place)
-    truth = np.where(has_result(found.flag), found.height_m, np.nan).reshape(height.shape)
-    off = height - truth
-    extent = tuple(v / 1e3 for v in (x.min() - x.min(), x.max() - x.min(), 0.0, y.max() - y.min()))
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(6.6, 3.4), layout="constrained")
-        left, right = figure.subplots(1, 2, sharey=True)
-        shown = left.imshow(height, cmap=HEIGHT_MAP, extent=extent)
-        left.set_title("surface from the images")
-        figure.colorbar(shown, ax=left, location="bottom", label="ellipsoidal height, m")
-        limit = max(float(np.nanquantile(np.abs(off), 0.98)), 1e-3)
-        shown = right.imshow(
-            off, cmap=SIGNED_MAP, norm=Normalize(-limit, limit), extent=extent,
-            interpolation="nearest",
-        )  # fmt: skip
-        right.set_title("less the field's DEM")
-        figure.colorbar(shown, ax=right, location="bottom", label="m", extend="both")
-        for axes in (left, right):
-            axes.set_xlabel("km")
-        left.set_ylabel("km")
         return png(figure)

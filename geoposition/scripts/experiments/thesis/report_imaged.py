@@ -12,6 +12,8 @@ from geoposition.scripts.experiments.thesis.imaged import Imaged
 from geoposition.scripts.experiments.thesis.scene import EPOCH_UTC
 from geoposition.scripts.experiments.thesis_ch4 import NOISE
 from geoposition.scripts.report import Commands, Image, Note, Section, Table, Text, number
+from geoposition.scripts.surface_figures import surface_difference
+from geoposition.terrain import RasterTerrain
 
 THESIS_ANGLE_ARCSEC: Final = {"raw": 3.17, "two-filter": 2.01}
 """T 5.2.2: scatter of the angle between the axes of heads 2 and 3."""
@@ -159,7 +161,9 @@ def _stereo(made: Imaged, folder: Path) -> Section:
                 f"{number(residual['median'])} px in the median after compensation."
             ),
             Image(
-                figures.surface_difference(folder),
+                surface_difference(
+                    folder / "dsm.tif", RasterTerrain(folder / "dem.tif"), "the field's DEM"
+                ),
                 "Surface from dense intersection, and its difference from the field's DEM.",
                 "Two maps: heights, and differences of some decimetres",
             ),
