@@ -13,8 +13,21 @@ import pytest
 
 from geoposition.arrays import FloatArray
 from geoposition.scripts.bench import __main__ as bench
+from geoposition.scripts.bench import markdown, report
+from geoposition.scripts.bench.growth import by_points
+from geoposition.scripts.bench.limits import FLOP, Machine, limit_of
 from geoposition.scripts.bench.machine import PeakMemory
-from geoposition.scripts.bench.measure import Case, CaseResult, Contender, Missing, measure
+from geoposition.scripts.bench.measure import (
+    Case,
+    CaseResult,
+    Contender,
+    Missing,
+    Spread,
+    measure,
+)
+from geoposition.scripts.bench.remap import ortho_cases, remap_cases
+from geoposition.scripts.bench.runs import run
+from geoposition.scripts.bench.scenes import rigorous_scenes
 
 KEYS = {
     "direct", "direct-peers", "inverse", "inverse-peers", "dem", "dem-peers",
@@ -39,9 +52,9 @@ PEERS = ("usgscsm", "ASGARD", "pyrugged", "shareloc", "GDAL", "rpcm")
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Quick:
     path = tmp_path_factory.mktemp("bench") / "bench.json"
-    found, results = bench.run(None, True, 2, ("rigorous", "rpc", "growth"))
-    path.write_text(json.dumps(bench.report.as_json(found, results)))
-    return results, json.loads(path.read_text())
+    found = run(None, True, 2, ("rigorous", "rpc"))
+    path.write_text(json.dumps(report.as_json(found)))
+    return found.cases, json.loads(path.read_text())
 
 
 def test_every_case_is_measured_with_its_target(quick: Quick) -> None:
@@ -77,12 +90,69 @@ def test_gdal_agrees_with_our_rpc(quick: Quick) -> None:
 
 
 def test_the_file_says_what_the_figures_depend_on(quick: Quick) -> None:
-    report = quick[1]
-    assert {case["key"] for case in report["cases"]} == KEYS
-    assert report["environment"]["cores"] >= 1
-    assert report["environment"]["numba"]
-    assert all(rate > 0.0 for rate in report["copy_gb_s"].values())
-    assert report["growth"]["synthetic"]["1000"] > 0.0
+    told = quick[1]
+    assert {case["key"] for case in told["cases"]} == KEYS
+    assert told["environment"]["cores"] >= 1
+    assert told["environment"]["numba"]
+    assert all(rate > 0.0 for rate in told["copy_gb_s"].values())
+    for case in told["cases"]:
+        assert case["limit"]["mpoint_s"] > case["rows"][0]["mpoint_s"]["median"], case["key"]
+
+
+def test_the_limit_is_the_nearer_of_memory_and_arithmetic() -> None:
+    case = replace(_case(), key="rpc-project", bytes_per_point=40)
+    memory = limit_of(case, Machine(4.0, 1e6))
+    assert memory is not None
+    assert (memory.what, memory.mpoint_s) == ("memory", 100.0)
+    arithmetic = limit_of(case, Machine(4.0, 0.01 * FLOP["rpc-project"]))
+    assert arithmetic is not None
+    assert arithmetic.what == "arithmetic"
+    assert arithmetic.mpoint_s == pytest.approx(10.0)
+    assert limit_of(replace(case, key="direct-peers"), Machine(1e6, 1.0)) is not None
+    assert limit_of(replace(case, key="unknown", bytes_per_point=0), Machine(1.0, 1.0)) is None
+
+
+def test_growth_has_a_rate_for_every_size() -> None:
+    growth = by_points(rigorous_scenes(None), quick=True)
+    assert growth.sizes == (1_000, 10_000)
+    assert all(rate > 0.0 for rate in growth.rows["synthetic"])
+
+
+def test_opencv_and_gdal_resample_to_the_same_pixels(tmp_path: Path) -> None:
+    made = [*remap_cases(quick=True), *ortho_cases(tmp_path, quick=True)]
+    results = {case.key: measure(case, 1) for case in made}
+    for key, result in results.items():
+        for row in result.rows[1:]:
+            assert not row.reason, f"{key}, {row.name}: {row.reason}"
+    # rounding alone, but for noise where the map's interpolation or GDAL's tolerance shows
+    assert results["remap-bilinear"].rows[1].difference == 1.0
+    exact = results["ortho-bilinear"].rows[1].difference
+    assert exact is not None
+    assert exact <= 1.0
+
+
+def test_the_page_keeps_what_is_around_its_tables(tmp_path: Path) -> None:
+    page = tmp_path / "bench.md"
+    text = "| new |"
+    assert markdown.placed(text, page) == "| new |\n"
+    page.write_text(f"# Head\n\n{markdown.BEGIN}\nold\n{markdown.END}\n\nTail\n")
+    new = markdown.placed(text, page)
+    assert new == f"# Head\n\n{markdown.BEGIN}\n\n| new |\n\n{markdown.END}\n\nTail\n"
+
+
+def test_the_page_names_command_machine_and_every_contender() -> None:
+    found = report.Report({"processor": "P", "cores": 2}, "synthetic")
+    found.cases = [measure(_case(Missing("gone", "has | a reason")), 2)]
+    found.times_s = {"start": Spread(0.1, 0.2, 0.3)}
+    found.copy_gb_s = {1: 8.0, 2: 12.0}
+    text = markdown.as_markdown(found, "python -m geoposition.scripts.bench --repeats 2")
+    assert "--repeats 2\n```" in text
+    assert "processor P, cores 2" in text
+    assert "2 thread(s) 12.0 GB/s" in text
+    assert "has \\| a reason" in text
+    assert "| start | 0.1 | 0.2 | 0.3 |" in text
+    tables = [line for line in text.splitlines() if line.startswith("| ours") or "gone" in line]
+    assert {line.replace("\\|", "").count("|") for line in tables} == {11}
 
 
 def _contender(name: str, answer: FloatArray, run: Callable[[], Any] | None = None) -> Contender:

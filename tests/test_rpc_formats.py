@@ -103,9 +103,7 @@ def test_one_based_text_keeps_every_bit(value: float) -> None:
     assert from_one_based(Path("x"), "LINE_OFF", to_one_based(value)) == value
 
 
-@settings(
-    max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     numbers=st.lists(st.floats(1e-300, 1.0, allow_subnormal=False), min_size=19, max_size=19),
     dialect=st.sampled_from(sorted(NAMES)),
@@ -421,9 +419,7 @@ def test_a_failed_write_leaves_the_old_file(
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
 
 
-@settings(
-    max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), dialect=st.sampled_from(TEXTS))
 def test_random_damage_never_escapes_the_error_family(
     data: st.DataObject, dialect: str, tmp_path: Path

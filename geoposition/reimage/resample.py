@@ -13,6 +13,7 @@ from geoposition.arrays import FlagArray
 from geoposition.errors import ArgumentError
 from geoposition.reimage import resample_kernels as kernels
 from geoposition.reimage import sample_kernels as samples
+from geoposition.reimage.gather_kernels import bits_of, resample_gathered, words_of
 from geoposition.reimage.mapping import RowMap
 from geoposition.reimage.place_kernels import resample_places
 
@@ -74,9 +75,9 @@ class Resampler:
             )
         shape = len(places.places), cols
         out, valid = _empty(image, shape)
-        for band, target in zip(image, out, strict=True):
+        for number, (band, target) in enumerate(zip(image, out, strict=True)):
             limits = self._limits(band.dtype)
-            seen = np.empty(shape, dtype=np.uint8)
+            seen = np.empty_like(valid) if number else valid
             kernels.resample_rows(
                 band,
                 self._holes(band),
@@ -92,7 +93,8 @@ class Resampler:
                 seen,
             )
             self._keep_apart(target, seen)
-            valid &= seen
+            if number:
+                valid &= seen
         return out, valid
 
     def at(
@@ -104,24 +106,36 @@ class Resampler:
                 image, lambda sampler, raised: sampler.at(raised, line, sample, origin)
             )
         out, valid = _empty(image, line.shape)
-        for band, target in zip(image, out, strict=True):
-            seen = np.empty(line.shape, dtype=np.uint8)
-            resample_places(
-                band,
-                self._holes(band),
-                line,
-                sample,
-                float(origin[0]),
-                float(origin[1]),
-                METHODS[self.method],
-                samples.LANCZOS_TABLE,
-                *self._limits(band.dtype),
-                target,
-                seen,
-            )
+        for number, (band, target) in enumerate(zip(image, out, strict=True)):
+            seen = np.empty_like(valid) if number else valid
+            self._places(band, (line, sample), origin, target, seen)
             self._keep_apart(target, seen)
-            valid &= seen
+            if number:
+                valid &= seen
         return out, valid
+
+    def _places(
+        self,
+        band: Pixels,
+        places: tuple[Pixels, Pixels],
+        origin: tuple[int, int],
+        out: Pixels,
+        seen: FlagArray,
+    ) -> None:
+        method, holes = METHODS[self.method], self._holes(band)
+        first, lanczos = (float(origin[0]), float(origin[1])), samples.LANCZOS_TABLE
+        nodata, has_nodata, low, high, half, fill = self._limits(band.dtype)
+        words = None if holes.size else words_of(band, method)
+        if words is None:
+            resample_places(
+                band, holes, *places, *first, method, lanczos, nodata, has_nodata, low, high,
+                half, fill, out, seen,
+            )  # fmt: skip
+        else:
+            resample_gathered(
+                band, words, bits_of(band, words), *places, first, method, lanczos, nodata,
+                has_nodata, low, high, fill, out, seen,
+            )  # fmt: skip
 
     def _signed(
         self, image: Pixels, work: Callable[[Resampler, Pixels], tuple[Pixels, FlagArray]]
@@ -181,4 +195,4 @@ def _empty(image: Pixels, shape: tuple[int, ...]) -> tuple[Pixels, FlagArray]:
         )
     if not image.flags.c_contiguous:
         raise ArgumentError("resampling: a contiguous image expected")
-    return np.empty((len(image), *shape), dtype=image.dtype), np.ones(shape, dtype=np.uint8)
+    return np.empty((len(image), *shape), dtype=image.dtype), np.empty(shape, dtype=np.uint8)

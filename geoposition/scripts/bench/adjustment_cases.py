@@ -1,7 +1,7 @@
 # mypy: disable-error-code="import-not-found,import-untyped"
-"""Adjustment as a case of the benchmarks: ours, SciPy's least squares, Ceres through pyceres.
+"""Adjustment as a case of the benchmarks: ours, SciPy, Ceres through pyceres, GTSAM.
 
-All three solve the same problem from the same residuals and analytic derivatives; only ours looks
+All solve the same problem from the same residuals and analytic derivatives; only ours looks
 for blunders, gives covariances and makes adjusted models too. Ceres gets the rows of each point
 at each linearisation, for it cannot ask for all of them at once from Python.
 """
@@ -25,6 +25,7 @@ from geoposition.scripts.bench.adjustment import (
     ours,
     problem,
 )
+from geoposition.scripts.bench.adjustment_gtsam import gtsam_contender
 from geoposition.scripts.bench.machine import installed
 from geoposition.scripts.bench.measure import Case, Contender, Missing
 from geoposition.sensors.simulate import ARCSEC_RAD
@@ -39,18 +40,20 @@ _ROUNDS: Final = 2
 def adjustment_cases(quick: bool = False) -> Iterator[Case]:
     """Two images and 200 control points: many matches for us alone, fewer beside the peers."""
     many = problem(_QUICK if quick else MATCHES)
-    yield _case("adjust", many, MATCHES / TARGET_S / 1e6)
+    yield adjustment_case("adjust", many, MATCHES / TARGET_S / 1e6)
     few = problem(_QUICK if quick else SCIPY_MATCHES)
     scipy = Contender(
         f"SciPy {installed('scipy')}", _EVERY, partial(by_scipy, few), partial(_arcsec, few),
         "least_squares, sparse Jacobian; no covariance, no blunders",
     )  # fmt: skip
-    yield _case("adjust-peers", few, None, scipy, _ceres(few))
+    gtsam = gtsam_contender(few, _ROUNDS, partial(_arcsec, few))
+    yield adjustment_case("adjust-peers", few, None, scipy, _ceres(few), gtsam)
 
 
-def _case(
+def adjustment_case(
     key: str, case: Problem, target_mpoint_s: float | None, *peers: Contender | Missing
 ) -> Case:
+    """Solve `case` with everything ours comes with; `points` are the matches."""
     count = len(case.ties) // 2
     return Case(
         key=key,

@@ -1,9 +1,8 @@
-"""The list of cases, each with its contenders."""
+"""Our own work on known scenes, case by case; `beside` adds the peers to it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +13,8 @@ from geoposition.ellipsoid import geodetic_to_ecef
 from geoposition.intersect import intersect_pairs
 from geoposition.locate import locate
 from geoposition.rays import Rays
-from geoposition.scripts.bench import (
-    peer_asgard,
-    peer_gdal,
-    peer_pyrugged,
-    peer_rpcm,
-    peer_shareloc,
-    peer_usgscsm,
-)
 from geoposition.scripts.bench.measure import Case, Contender
-from geoposition.scripts.bench.scenes import (
-    RigorousScene,
-    RpcScene,
-    image_grid,
-    write_terrain,
-)
+from geoposition.scripts.bench.scenes import RigorousScene, RpcScene, image_grid
 from geoposition.scripts.bench.work import RigorousWork, RpcWork, smooth_heights
 from geoposition.sensor_model import GroundPoints, ImagePoints, SensorModel
 from geoposition.terrain import Terrain
@@ -54,144 +40,115 @@ FULL = Sizes(ours=1_000_000, rpc=1_000_000, compiled=100_000, numpy=50_000, slow
 QUICK = Sizes(ours=20_000, rpc=40_000, compiled=4_000, numpy=2_000, slow=100)
 
 
-def rigorous_cases(scene: RigorousScene, folder: Path, sizes: Sizes) -> Iterator[Case]:
-    """Direct, inverse, and direct on a raster, of a rigorous model."""
-    like_peers = rigorous_work(scene.without_refraction(), sizes.ours)
-    full = rigorous_work(scene, sizes.ours)
-    yield _direct(full, "direct", f"direct, ellipsoid, {scene.name}", 12.0)
-    yield replace(
-        _direct(like_peers, "direct-peers", "the same without refraction, as peers have it", None),
-        peers=(
-            peer_usgscsm.MISSING,
-            peer_asgard.direct(like_peers, sizes.numpy),
-            peer_pyrugged.direct(like_peers, sizes.slow),
+def direct(work: RigorousWork) -> Case:
+    """Image to ground at one height."""
+    model = work.scene.model
+    return Case(
+        key="direct",
+        title=f"direct, ellipsoid, {work.scene.name}",
+        points=work.points,
+        unit="m",
+        tolerance=0.1,
+        ours=Contender(
+            OURS, _EVERY, lambda: model.image_to_ground(work.image_px, work.height_m), _ground
         ),
-    )
-    yield _inverse(full, "inverse", f"inverse, {scene.name}", 6.0)
-    yield replace(
-        _inverse(
-            like_peers, "inverse-peers", "the same without refraction, as peers have it", None
-        ),
-        peers=(
-            peer_usgscsm.MISSING,
-            peer_asgard.inverse(like_peers, sizes.slow),
-            peer_pyrugged.inverse(like_peers, sizes.slow),
-        ),
-    )
-    dem = write_terrain(folder / "terrain.tif", full.geodetic, 0.1)
-    terrain = RasterTerrain(dem)
-    yield _on_dem(scene.model, full.image_px, terrain, "dem", f"on a DEM, {scene.name}", 5.0)
-    yield replace(
-        _on_dem(
-            like_peers.scene.model,
-            like_peers.image_px,
-            terrain,
-            "dem-peers",
-            "the same without refraction, as peers have it",
-            None,
-        ),
-        peers=(
-            peer_asgard.on_dem(like_peers, dem, sizes.slow),
-            peer_pyrugged.on_dem(like_peers, dem, sizes.slow),
-        ),
+        target_mpoint_s=12.0,
+        bytes_per_point=16 + 24 + 1,
     )
 
 
-def rpc_cases(scene: RpcScene, sizes: Sizes) -> Iterator[Case]:
-    """Both directions of an RPC, its location on a raster, and a pair's intersection."""
-    work = rpc_work(scene, sizes.rpc)
-    model = scene.left
-    yield Case(
+def inverse(work: RigorousWork) -> Case:
+    """Ground to image."""
+    model = work.scene.model
+    return Case(
+        key="inverse",
+        title=f"inverse, {work.scene.name}",
+        points=work.points,
+        unit="px",
+        tolerance=0.2,
+        ours=Contender(OURS, _EVERY, lambda: model.ground_to_image(work.geodetic), _image),
+        target_mpoint_s=6.0,
+        bytes_per_point=24 + 16 + 1,
+    )
+
+
+def on_dem(work: RigorousWork, dem: Path) -> Case:
+    """Image to ground on a raster."""
+    scene = work.scene
+    return _on_dem(scene.model, work.image_px, RasterTerrain(dem), "dem", f"on a DEM, {scene.name}")
+
+
+def rpc_project(work: RpcWork, name: str) -> Case:
+    """Ground to image by an RPC."""
+    return Case(
         key="rpc-project",
-        title=f"RPC, ground to image, {scene.name}",
+        title=f"RPC, ground to image, {name}",
         points=work.points,
         unit="px",
         tolerance=1e-4,
-        ours=Contender(OURS, _EVERY, lambda: model.ground_to_image(work.geodetic), _image),
-        peers=(
-            peer_shareloc.project(work, sizes.compiled),
-            peer_gdal.project(work, sizes.compiled),
-            peer_rpcm.project(work, sizes.compiled),
-        ),
+        ours=Contender(OURS, _EVERY, lambda: work.model.ground_to_image(work.geodetic), _image),
         target_mpoint_s=150.0,
         bytes_per_point=24 + 16 + 1,
     )
-    yield Case(
+
+
+def rpc_locate(work: RpcWork, name: str) -> Case:
+    """Image to ground by an RPC, at given heights."""
+    return Case(
         key="rpc-locate",
-        title=f"RPC, image to ground, {scene.name}",
+        title=f"RPC, image to ground, {name}",
         points=work.points,
         unit="m",
         tolerance=1e-2,
         ours=Contender(
-            OURS, _EVERY, lambda: model.image_to_ground(work.image_px, work.height_m), _ground
-        ),
-        peers=(
-            peer_shareloc.locate(work, sizes.compiled),
-            peer_gdal.locate(work, sizes.compiled),
-            peer_rpcm.locate(work, sizes.compiled),
+            OURS, _EVERY, lambda: work.model.image_to_ground(work.image_px, work.height_m), _ground
         ),
         target_mpoint_s=20.0,
         bytes_per_point=16 + 8 + 24 + 1,
     )
-    part = rpc_work(scene, sizes.ours)
+
+
+def rpc_on_dem(work: RpcWork, scene: RpcScene) -> Case:
+    """Image to ground by an RPC, on a raster."""
     terrain = RasterTerrain(scene.dem, scene.geoid)
-    case = _on_dem(model, part.image_px, terrain, "rpc-dem", f"RPC on a DEM, {scene.name}", 5.0)
-    box = np.degrees(part.geodetic[:, :2])
-    (west, south), (east, north) = box.min(axis=0) - 0.05, box.max(axis=0) + 0.05
-    roi = [float(south), float(west), float(north), float(east)]
-    yield replace(
-        case,
-        # shareloc's rays are straight in longitude and latitude: decimetres over much relief
-        tolerance=0.5,
-        peers=(peer_shareloc.locate_on_dem(part, scene.dem, scene.geoid, roi, sizes.compiled),),
-    )
-    yield from _pair_cases(scene, part, sizes)
+    return _on_dem(scene.left, work.image_px, terrain, "rpc-dem", f"RPC on a DEM, {scene.name}")
 
 
-def _pair_cases(scene: RpcScene, left: RpcWork, sizes: Sizes) -> Iterator[Case]:
-    other = scene.right.ground_to_image(left.geodetic).image_px
-    seen = np.flatnonzero(np.isfinite(other).all(axis=1))
-    height = left.height_m[seen]
-    geodetic = left.geodetic[seen]
-    left = RpcWork(scene.left, left.image_px[seen], height, geodetic)
-    right = RpcWork(scene.right, other[seen], height, geodetic)
-    low, high = scene.left.height_range_m
-    middle = 0.5 * (low + high)
-
-    def sights() -> tuple[Rays, Rays]:
-        return (
-            scene.left.rays(left.image_px, middle),
-            scene.right.rays(right.image_px, middle),
-        )
-
-    rays_a, rays_b = sights()
-    yield Case(
+def pair_rays(work: PairWork) -> Case:
+    """Two-ray intersection, rays given."""
+    rays_a, rays_b = work.sights()
+    return Case(
         key="pair-rays",
         title="two-ray intersection, rays given",
-        points=left.points,
+        points=work.left.points,
         unit="m",
         tolerance=1e-2,
         ours=Contender(OURS, _EVERY, lambda: intersect_pairs(rays_a, rays_b), _ground),
-        peers=(peer_shareloc.intersect(rays_a, rays_b, sizes.compiled),),
         target_mpoint_s=5.0,
         bytes_per_point=2 * 49 + 24 + 8 + 1,
     )
-    yield Case(
+
+
+def pair(work: PairWork) -> Case:
+    """Two-ray intersection from matches."""
+    return Case(
         key="pair",
-        title=f"two-ray intersection from matches, {scene.name}",
-        points=left.points,
+        title=f"two-ray intersection from matches, {work.name}",
+        points=work.left.points,
         unit="m",
         tolerance=0.5,
-        ours=Contender(OURS, _EVERY, lambda: intersect_pairs(*sights()), _ground),
-        peers=(
-            peer_shareloc.triangulate(left, right, (middle - 50.0, middle + 50.0), sizes.compiled),
-        ),
+        ours=Contender(OURS, _EVERY, lambda: intersect_pairs(*work.sights()), _ground),
         target_mpoint_s=5.0,
         bytes_per_point=2 * 16 + 24 + 8 + 1,
     )
-    yield Case(
+
+
+def pair_covariance(work: PairWork) -> Case:
+    """Weighted two-ray intersection from matches, each point with its covariance."""
+    left, right = work.left, work.right
+    return Case(
         key="pair-covariance",
-        title=f"the same, weighted, with covariance, {scene.name}",
+        title=f"the same, weighted, with covariance, {work.name}",
         points=left.points,
         unit="m",
         tolerance=0.5,
@@ -199,16 +156,30 @@ def _pair_cases(scene: RpcScene, left: RpcWork, sizes: Sizes) -> Iterator[Case]:
             OURS,
             _EVERY,
             lambda: triangulate_pairs_weighted(
-                scene.left, scene.right, left.image_px, right.image_px
+                left.model, right.model, left.image_px, right.image_px
             ),
             _ground,
-        ),
-        peers=(
-            peer_shareloc.triangulate(left, right, (middle - 50.0, middle + 50.0), sizes.compiled),
         ),
         target_mpoint_s=3.0,
         bytes_per_point=2 * 16 + 24 + 72 + 8 + 1,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class PairWork:
+    """The same ground points in two RPCs, `middle_m` the middle of the left one's heights."""
+
+    name: str
+    left: RpcWork
+    right: RpcWork
+    middle_m: float
+
+    def sights(self) -> tuple[Rays, Rays]:
+        """Rays of either image."""
+        return (
+            self.left.model.rays(self.left.image_px, self.middle_m),
+            self.right.model.rays(self.right.image_px, self.middle_m),
+        )
 
 
 def rigorous_work(scene: RigorousScene, points: int) -> RigorousWork:
@@ -230,43 +201,22 @@ def rpc_work(scene: RpcScene, points: int) -> RpcWork:
     return RpcWork(scene.left, image, heights, ground.geodetic)
 
 
-def _direct(work: RigorousWork, key: str, title: str, target: float | None) -> Case:
-    model = work.scene.model
-    return Case(
-        key=key,
-        title=title,
-        points=work.points,
-        unit="m",
-        tolerance=0.1,
-        ours=Contender(
-            OURS, _EVERY, lambda: model.image_to_ground(work.image_px, work.height_m), _ground
-        ),
-        target_mpoint_s=target,
-        bytes_per_point=16 + 24 + 1,
-    )
-
-
-def _inverse(work: RigorousWork, key: str, title: str, target: float | None) -> Case:
-    model = work.scene.model
-    return Case(
-        key=key,
-        title=title,
-        points=work.points,
-        unit="px",
-        tolerance=0.2,
-        ours=Contender(OURS, _EVERY, lambda: model.ground_to_image(work.geodetic), _image),
-        target_mpoint_s=target,
-        bytes_per_point=24 + 16 + 1,
+def pair_work(scene: RpcScene, left: RpcWork) -> PairWork:
+    """Match a pair: where the right image shows what the left one does."""
+    other = scene.right.ground_to_image(left.geodetic).image_px
+    seen = np.flatnonzero(np.isfinite(other).all(axis=1))
+    height, geodetic = left.height_m[seen], left.geodetic[seen]
+    low, high = scene.left.height_range_m
+    return PairWork(
+        scene.name,
+        RpcWork(scene.left, left.image_px[seen], height, geodetic),
+        RpcWork(scene.right, other[seen], height, geodetic),
+        0.5 * (low + high),
     )
 
 
 def _on_dem(
-    model: SensorModel,
-    image_px: FloatArray,
-    terrain: Terrain,
-    key: str,
-    title: str,
-    target: float | None,
+    model: SensorModel, image_px: FloatArray, terrain: Terrain, key: str, title: str
 ) -> Case:
     return Case(
         key=key,
@@ -275,7 +225,7 @@ def _on_dem(
         unit="m",
         tolerance=0.1,
         ours=Contender(OURS, _EVERY, lambda: locate(model, image_px, terrain), _ground),
-        target_mpoint_s=target,
+        target_mpoint_s=5.0,
         bytes_per_point=16 + 24 + 1,
     )
 

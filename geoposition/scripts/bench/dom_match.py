@@ -90,8 +90,10 @@ def _as_found(found: Any) -> FloatArray:
 def _arosics() -> Missing:
     version = installed("arosics")
     if version is not None:
-        return Missing(f"arosics {version}", "takes no patches in memory, only georeferenced files")
-    return Missing("arosics", "not installed: it needs GDAL's own Python bindings and headers")
+        return Missing(f"arosics {version}", "takes georeferenced rasters, not patches")
+    return Missing(
+        "arosics", "not installed: pip builds GDAL's own bindings for it, on GDAL >= 3.8 headers"
+    )
 
 
 def ecc(first: FloatArray, second: FloatArray, corners: IntArray) -> FloatArray:

@@ -31,6 +31,7 @@ _ARCSEC: Final = np.pi / 648000.0
 _OURS: Final = "geoposition"
 _EVERY: Final = slice(None)
 _SIGMA_RAD: Final = 5.0 * _ARCSEC
+_MODELS: Final[tuple[GyroModel, ...]] = ("bias", "general")
 _PEER_STEPS: Final = 2000
 """A Python loop shows its rate in so many steps."""
 
@@ -84,17 +85,8 @@ def fusion_cases(quick: bool = False) -> Iterator[Case]:
         lambda: smooth.two_filter(fast.star, fast.gyro, fast.settings()),
         300_000.0,
     )
-    hour = fusion_scene(10.0, 4.0, 60.0 if quick else 3600.0, GyroNoise(5e-7, 3e-9))
-    models: tuple[GyroModel, ...] = ("bias", "general")
-    for model in models:
-        settings = hour.settings(model)
-        yield _ours(
-            f"fusion-hour-{settings.states}",
-            f"RTS, gyro 10 Hz, star 4 Hz, {settings.states} states",
-            hour,
-            partial(smooth.rts, hour.star, hour.gyro, settings),
-            36_000.0,
-        )
+    for model in _MODELS:
+        yield hour_case(model, 60.0 if quick else 3600.0)
     even = fusion_scene(10.0, 5.0, 60.0 if quick else 3600.0, GyroNoise(5e-7, 3e-9))
     yield _ours(
         "fusion-forward",
@@ -121,6 +113,19 @@ def fusion_cases(quick: bool = False) -> Iterator[Case]:
         ),
         peers=(_gtsam(steady),),
         target_mpoint_s=2400.0 / 0.15 / 1e6,
+    )
+
+
+def hour_case(model: GyroModel, span_s: float = 3600.0) -> Case:
+    """Smooth telemetry of a gyro at 10 Hz and a star sensor at 4 Hz."""
+    hour = fusion_scene(10.0, 4.0, span_s, GyroNoise(5e-7, 3e-9))
+    settings = hour.settings(model)
+    return _ours(
+        f"fusion-hour-{settings.states}",
+        f"RTS, gyro 10 Hz, star 4 Hz, {settings.states} states",
+        hour,
+        partial(smooth.rts, hour.star, hour.gyro, settings),
+        36_000.0,
     )
 
 

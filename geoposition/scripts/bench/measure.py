@@ -17,8 +17,8 @@ from geoposition.scripts.bench.machine import PeakMemory
 class Contender:
     """One implementation: `run` is what is timed, `result` makes its answer comparable.
 
-    It answers the points `rows` of its case; `result` gives them as ECEF metres (n, 3) or as
-    image points (n, 2) = (line, sample).
+    It answers the points `rows` of its case; `result` gives them as ECEF metres (n, 3), image
+    points (n, 2) = (line, sample), or whatever else the contenders of a case agree on, (n, k).
     """
 
     name: str
@@ -40,8 +40,9 @@ class Missing:
 class Case:
     """One piece of work: ours first, then the peers.
 
-    `unit` is that of the results, "m" or "px"; peers further than `tolerance` from ours do not
-    do the same work and are not timed. `bytes_per_point` go to and from memory at the least.
+    `unit` is that of the results. Peers of which more than 1 - `share` of the points are further
+    than `tolerance` from ours do not do the same work and are not timed. `bytes_per_point` go to
+    and from memory at the least.
     """
 
     key: str
@@ -53,6 +54,7 @@ class Case:
     peers: Sequence[Contender | Missing] = ()
     target_mpoint_s: float | None = None
     bytes_per_point: int = 0
+    share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +76,10 @@ class Spread:
 class Row:
     """What was measured of one contender; `reason` where nothing could be.
 
-    `mpoint_s` is by the clock, `mpoint_core_s` by the processor time of all threads; `ratio` is
-    ours over theirs, repetition by repetition. `difference` is the largest from ours over the
-    `compared` points that both answer; `peak_bytes` what the call needed beyond what was there,
-    its result included.
+    `mpoint_s` is by the clock, `mpoint_core_s` by the processor time of all threads; `ratio` and
+    `ratio_core` are ours over theirs by either, repetition by repetition. `difference` is the
+    largest from ours over the `compared` points that both answer (the case's `share` of them);
+    `peak_bytes` what the call needed beyond what was there, its result included.
     """
 
     name: str
@@ -87,6 +89,7 @@ class Row:
     mpoint_s: Spread | None = None
     mpoint_core_s: Spread | None = None
     ratio: Spread | None = None
+    ratio_core: Spread | None = None
     difference: float | None = None
     compared: int = 0
     peak_bytes: float | None = None
@@ -135,17 +138,19 @@ def measure(case: Case, repeats: int) -> CaseResult:
             wall[taker.name][repeat] = time.perf_counter() - begin
     mega = {row.name: row.points / 1e6 for row in result.rows}
     rate_ours = mega[case.ours.name] / wall[case.ours.name]
+    core_ours = mega[case.ours.name] / cpu[case.ours.name]
     for index, row in enumerate(result.rows):
         if row.reason:
             continue
-        rate = mega[row.name] / wall[row.name]
+        rate, core = mega[row.name] / wall[row.name], mega[row.name] / cpu[row.name]
         result.rows[index] = Row(
             name=row.name,
             note=row.note,
             points=row.points,
             mpoint_s=Spread.of(rate),
-            mpoint_core_s=Spread.of(mega[row.name] / cpu[row.name]),
+            mpoint_core_s=Spread.of(core),
             ratio=Spread.of(rate_ours / rate) if index else None,
+            ratio_core=Spread.of(core_ours / core) if index else None,
             difference=row.difference,
             compared=row.compared,
             peak_bytes=row.peak_bytes,
@@ -168,12 +173,15 @@ def _first(
         return answer, Row(contender.name, reason=reason)
     difference, compared, reason = None, 0, ""
     if reference is not None:
-        apart = np.linalg.norm(answer - reference[contender.rows], axis=-1)
+        expected = reference[contender.rows]
+        apart = np.linalg.norm(answer - expected, axis=-1)
         both = np.isfinite(apart)
+        either = np.isfinite(answer).all(axis=-1) | np.isfinite(expected).all(axis=-1)
         compared = int(both.sum())
-        difference = float(apart[both].max()) if compared else float("nan")
-        if compared < 0.9 * points:
-            reason = f"not the same work: only {compared} of {points} points in common"
+        worst = np.quantile(apart[both], case.share) if compared else np.nan
+        difference = float(worst)
+        if compared < 0.9 * either.sum():
+            reason = f"not the same work: only {compared} of {either.sum()} points in common"
         elif not difference <= case.tolerance:
             reason = f"not the same work: {difference:.3g} {case.unit} from ours"
     row = Row(

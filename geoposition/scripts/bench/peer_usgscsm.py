@@ -1,5 +1,5 @@
-"""usgscsm, the C++ reference of the community sensor model: cannot be had from PyPI."""
+"""usgscsm, the C++ reference of the community sensor model: pip cannot have it."""
 
 from geoposition.scripts.bench.measure import Missing
 
-MISSING = Missing("usgscsm", "not on PyPI: a C++ library, packaged for conda only")
+MISSING = Missing("usgscsm", "packaged for conda only: neither on PyPI nor in Debian")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from types import ModuleType
 from typing import Any, Final
 
@@ -31,6 +32,13 @@ _EVERY = slice(None)
 def rpc_fit_case(model: SensorModel, name: str, nodes: tuple[int, int, int] = NODES) -> Case:
     """Fit to one grid of samples; results are the samples' places by each fitted RPC."""
     samples = virtual_grid(model, model.height_range_m, nodes)
+    peers = _rpcfit(samples), _lstsq(samples, model.shape)
+    return replace(own_fit_case(model, name, nodes), peers=peers)
+
+
+def own_fit_case(model: SensorModel, name: str, nodes: tuple[int, int, int] = NODES) -> Case:
+    """As `rpc_fit_case`, without peers."""
+    samples = virtual_grid(model, model.height_range_m, nodes)
     image, ground = samples.image_px.T.copy(), samples.geodetic.T.copy()
 
     def run() -> RpcFit:
@@ -47,7 +55,6 @@ def rpc_fit_case(model: SensorModel, name: str, nodes: tuple[int, int, int] = NO
         unit="px",
         tolerance=0.1,
         ours=Contender("geoposition", _EVERY, run, result),
-        peers=(_rpcfit(samples), _lstsq(samples, model.shape)),
         target_mpoint_s=TARGET_MPOINT_S,
         bytes_per_point=40,
     )

@@ -1,0 +1,1 @@
+"""History of our own speed, for asv."""
