@@ -13,8 +13,8 @@ import pytest
 from adjust_files import adjust, write_control, write_run
 
 from geoposition.observations import ControlPoints, TiePoints
-from geoposition.scripts.adjust_example import EXAMPLE
-from geoposition.scripts.adjust_input import read_run
+from geoposition.scripts.adjust.example import EXAMPLE
+from geoposition.scripts.adjust.input import read_run
 from geoposition.scripts.cli import run
 from geoposition.sensors.readers import open_product
 
@@ -331,7 +331,7 @@ def test_a_run_that_fails_leaves_the_folder_alone(
     path = write_run(folder / "kept.toml", CONTROL, MODELS)
     before = set(folder.iterdir())
     monkeypatch.setattr(
-        "geoposition.scripts.adjust_run.write_models",
+        "geoposition.scripts.adjust.run.write_models",
         lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")),
     )
     assert run(["adjust", str(path), "-o", str(out)]) == 2

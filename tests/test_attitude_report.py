@@ -10,8 +10,10 @@ import attitude_scene
 import numpy as np
 import pytest
 
-from geoposition.scripts import attitude_figures, attitude_fusion, attitude_fusion_report
-from geoposition.scripts.attitude_input import Sources
+from geoposition.scripts.attitude import figures as attitude_figures
+from geoposition.scripts.attitude import fusion as attitude_fusion
+from geoposition.scripts.attitude import fusion_report as attitude_fusion_report
+from geoposition.scripts.attitude.input import Sources
 from geoposition.scripts.cli import run
 from geoposition.scripts.experiment_run import flat_tables
 

@@ -21,8 +21,8 @@ from geoposition.reimage.virtual import ideal_camera, single_ccd
 from geoposition.rpc.compare import compare
 from geoposition.rpc.formats import read_rpc
 from geoposition.scripts.cli import run
-from geoposition.scripts.reimage_run import Request
-from geoposition.scripts.reimage_run import run as reimage_run
+from geoposition.scripts.reimage.run import Request
+from geoposition.scripts.reimage.run import run as reimage_run
 from geoposition.scripts.tables import write_table
 from geoposition.sensors.readers import open_product
 from geoposition.sensors.writers.attitude_table import attitude_columns

@@ -16,7 +16,7 @@ from geoposition.locate import locate
 from geoposition.observations import TiePoints
 from geoposition.pushbroom import PushbroomModel
 from geoposition.scripts import cli
-from geoposition.scripts.demo_folder import MARK_KEY, check_folder, whole_folder
+from geoposition.scripts.demo.folder import MARK_KEY, check_folder, whole_folder
 from geoposition.scripts.tables import read_table
 from geoposition.sensors.readers import open_product
 from geoposition.sensors.simulate import simulate_scene

@@ -16,10 +16,10 @@ from doc_pages import DOCS, Block, blocks, files, pages
 from geoposition.calib_fields.field import load_field
 from geoposition.scripts import cli
 from geoposition.scripts.batch.plan import read_plan
-from geoposition.scripts.demo_data import DemoOptions
-from geoposition.scripts.demo_files import write_inputs
-from geoposition.scripts.demo_run import run_demo
-from geoposition.scripts.evaluate_settings import Settings, scenes_of
+from geoposition.scripts.demo.data import DemoOptions
+from geoposition.scripts.demo.files import write_inputs
+from geoposition.scripts.demo.run import run_demo
+from geoposition.scripts.evaluate.settings import Settings, scenes_of
 
 ROOT = DOCS.parent
 ALL = [(page, block) for page in pages() for block in blocks(page)]

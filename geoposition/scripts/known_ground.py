@@ -15,7 +15,7 @@ from geoposition.calib_fields.match import DomMatches, DomMatchOptions, match_do
 from geoposition.errors import GeometryError, ProductError
 from geoposition.matching import ImageSource
 from geoposition.product import Product
-from geoposition.scripts.evaluate_settings import Settings
+from geoposition.scripts.evaluate.settings import Settings
 from geoposition.scripts.product_images import image_of
 from geoposition.scripts.results import Progress
 from geoposition.sensors.readers import open_product

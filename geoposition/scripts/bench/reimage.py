@@ -20,8 +20,8 @@ from rasterio.errors import NotGeoreferencedWarning
 from geoposition.product import Product
 from geoposition.pushbroom import PushbroomModel
 from geoposition.reimage.cog import Compression
-from geoposition.scripts import reimage_run
 from geoposition.scripts.bench.remap_scene import HEIGHT_M, image_file, shaken_model
+from geoposition.scripts.reimage import run as reimage_run
 from geoposition.scripts.results import unseen
 
 TARGETS: Final = {"file_mpx_s": 40.0, "peak_gib": 1.0}

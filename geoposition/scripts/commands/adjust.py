@@ -58,7 +58,7 @@ def command(
     from geoposition.scripts.results import print_facts, print_json, progress_bar
 
     if example:
-        from geoposition.scripts.adjust_example import EXAMPLE
+        from geoposition.scripts.adjust.example import EXAMPLE
 
         print(EXAMPLE, end="")
         return
@@ -66,13 +66,13 @@ def command(
         raise ArgumentError("adjust: a RUN.toml expected (--example prints one)")
     if output is None:
         raise ArgumentError("adjust: a folder for the results expected: -o DIR")
-    from geoposition.scripts import adjust_run
+    from geoposition.scripts.adjust import run as adjust_run
 
     with progress_bar("adjusting", json) as progress:
         summary = adjust_run.run(run_file, output, progress)
     if json:
         print_json(summary)
     else:
-        from geoposition.scripts.adjust_words import words
+        from geoposition.scripts.adjust.words import words
 
         print_facts(str(output), words(summary))

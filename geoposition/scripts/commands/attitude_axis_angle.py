@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from geoposition.scripts.attitude_options import (
+from geoposition.scripts.attitude.options import (
     ColumnsOption,
     MountingOption,
     PresetOption,
@@ -44,8 +44,8 @@ def command(
     Example: geoposition attitude axis-angle star.csv --error-split --report angles.html
     """
     from geoposition.errors import ArgumentError
-    from geoposition.scripts import attitude_checks
-    from geoposition.scripts.attitude_input import Sources
+    from geoposition.scripts.attitude import checks as attitude_checks
+    from geoposition.scripts.attitude.input import Sources
     from geoposition.scripts.results import print_json, progress_bar
     from geoposition.scripts.tables import check_output, write_table
 
@@ -63,7 +63,7 @@ def command(
         write_table(output, found.columns())
         result["output"] = str(output)
     if report is not None:
-        from geoposition.scripts import attitude_report
+        from geoposition.scripts.attitude import report as attitude_report
 
         attitude_report.write_axis_angles(report, str(star), found)
         result["report"] = str(report)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from geoposition.scripts.attitude_options import (
+from geoposition.scripts.attitude.options import (
     ColumnsOption,
     MountingOption,
     PresetOption,
@@ -49,7 +49,7 @@ def command(
     Example: geoposition attitude convert fused.csv -o orbit.csv --from inertial --to orbit
     --ephemeris eph.csv --epoch 2015-10-13T00:00:00Z
     """
-    from geoposition.scripts import attitude_conversion
+    from geoposition.scripts.attitude import conversion as attitude_conversion
     from geoposition.scripts.results import print_facts, print_json
     from geoposition.scripts.tables import check_output, write_table
     from geoposition.timescale import Epoch

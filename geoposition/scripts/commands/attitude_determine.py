@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from geoposition.scripts.attitude_options import MountingOption, ReportOption
+from geoposition.scripts.attitude.options import MountingOption, ReportOption
 from geoposition.scripts.options import JsonOption
 
 
@@ -33,7 +33,7 @@ def command(
 
     Example: geoposition attitude determine vectors.csv -o attitude.csv --method foam
     """
-    from geoposition.scripts import attitude_static
+    from geoposition.scripts.attitude import static as attitude_static
     from geoposition.scripts.results import print_facts, print_json, progress_bar
     from geoposition.scripts.tables import check_output, write_table
 
@@ -45,7 +45,7 @@ def command(
     write_table(output, found.columns())
     result = found.summary() | {"output": str(output)}
     if report is not None:
-        from geoposition.scripts import attitude_report
+        from geoposition.scripts.attitude import report as attitude_report
 
         attitude_report.write_static(report, str(vectors), found)
         result["report"] = str(report)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from geoposition.scripts.attitude_options import (
+from geoposition.scripts.attitude.options import (
     ColumnsOption,
     MountingOption,
     PresetOption,
@@ -73,8 +73,8 @@ def command(
     Example: geoposition attitude fuse --star star.csv --gyro gyro.csv -o fused.csv --method rts
     """
     from geoposition.errors import ArgumentError
-    from geoposition.scripts import attitude_fusion as fusion
-    from geoposition.scripts.attitude_input import Sources
+    from geoposition.scripts.attitude import fusion
+    from geoposition.scripts.attitude.input import Sources
     from geoposition.scripts.results import print_facts, print_json, progress_bar
     from geoposition.scripts.tables import check_output
 
@@ -100,7 +100,7 @@ def command(
     fusion.write(output, run)
     result = run.summary | {"output": str(output)}
     if report is not None:
-        from geoposition.scripts import attitude_fusion_report
+        from geoposition.scripts.attitude import fusion_report as attitude_fusion_report
 
         attitude_fusion_report.write(report, run)
         result["report"] = str(report)

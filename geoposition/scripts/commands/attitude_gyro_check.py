@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from geoposition.scripts.attitude_options import (
+from geoposition.scripts.attitude.options import (
     ColumnsOption,
     MountingOption,
     PresetOption,
@@ -46,8 +46,8 @@ def command(
 
     Example: geoposition attitude gyro-check --star star.csv --gyro gyro.csv --report check.html
     """
-    from geoposition.scripts import attitude_gyro
-    from geoposition.scripts.attitude_input import Sources
+    from geoposition.scripts.attitude import gyro as attitude_gyro
+    from geoposition.scripts.attitude.input import Sources
     from geoposition.scripts.results import print_facts, print_json, progress_bar
     from geoposition.scripts.tables import check_output, write_table
 

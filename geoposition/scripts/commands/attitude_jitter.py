@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from geoposition.scripts.attitude_options import (
+from geoposition.scripts.attitude.options import (
     ColumnsOption,
     MountingOption,
     PresetOption,
@@ -64,8 +64,8 @@ def command(
 
     Example: geoposition attitude jitter fused.csv --ephemeris eph.csv --report jitter.html
     """
-    from geoposition.scripts import attitude_jitter
-    from geoposition.scripts.attitude_input import Sources
+    from geoposition.scripts.attitude import jitter as attitude_jitter
+    from geoposition.scripts.attitude.input import Sources
     from geoposition.scripts.results import print_json, progress_bar
     from geoposition.scripts.tables import check_output, write_table
     from geoposition.timescale import Epoch
@@ -85,7 +85,7 @@ def command(
         write_table(output, attitude_jitter.columns(found))
         result["output"] = str(output)
     if report is not None:
-        from geoposition.scripts import attitude_report
+        from geoposition.scripts.attitude import report as attitude_report
 
         attitude_report.write_jitter(report, str(series), found, result)
         result["report"] = str(report)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from geoposition.scripts.attitude_options import (
+from geoposition.scripts.attitude.options import (
     ColumnsOption,
     PresetOption,
     ReportOption,
@@ -43,7 +43,7 @@ def command(
 
     Example: geoposition attitude preprocess raw.csv -o star.csv --report cleaned.html
     """
-    from geoposition.scripts import attitude_cleaning
+    from geoposition.scripts.attitude import cleaning as attitude_cleaning
     from geoposition.scripts.results import print_facts, print_json, progress_bar
     from geoposition.scripts.tables import check_output, write_table
 
@@ -57,7 +57,7 @@ def command(
     write_table(output, attitude_cleaning.columns(found))
     result = attitude_cleaning.summary(found) | {"output": str(output)}
     if report is not None:
-        from geoposition.scripts import attitude_report
+        from geoposition.scripts.attitude import report as attitude_report
 
         attitude_report.write_cleaning(report, str(star), found)
         result["report"] = str(report)

@@ -72,8 +72,8 @@ def command(
     -o out
     """
     from geoposition.errors import ArgumentError
-    from geoposition.scripts import calibrate_run
-    from geoposition.scripts.evaluate_settings import Settings
+    from geoposition.scripts.calibrate import run as calibrate_run
+    from geoposition.scripts.evaluate.settings import Settings
     from geoposition.scripts.results import print_facts, print_json, progress_bar
 
     if output.exists() and not output.is_dir():

@@ -32,11 +32,11 @@ def command(
     import time
 
     from geoposition.errors import ArgumentError
-    from geoposition.scripts.demo_data import DemoOptions
-    from geoposition.scripts.demo_files import as_json, write_inputs
-    from geoposition.scripts.demo_folder import MARK_FILE, check_folder, files_of, whole_folder
-    from geoposition.scripts.demo_report import build_report
-    from geoposition.scripts.demo_run import run_demo
+    from geoposition.scripts.demo.data import DemoOptions
+    from geoposition.scripts.demo.files import as_json, write_inputs
+    from geoposition.scripts.demo.folder import MARK_FILE, check_folder, files_of, whole_folder
+    from geoposition.scripts.demo.report import build_report
+    from geoposition.scripts.demo.run import run_demo
     from geoposition.scripts.report import provenance, render
     from geoposition.scripts.results import plain, print_facts, print_json, progress_bar
 

@@ -71,7 +71,7 @@ def command(
     Example: geoposition evaluate image.tif --dom dom.tif --dem dem.tif --geoid egm96.gtx -o out
     """
     from geoposition.errors import ArgumentError
-    from geoposition.scripts import evaluate_run
+    from geoposition.scripts.evaluate import run as evaluate_run
     from geoposition.scripts.results import print_facts, print_json, progress_bar
 
     given = evaluate_run.Settings(

@@ -88,9 +88,10 @@ def command(
     Example: geoposition intersect left.tif right.tif --match -o points.gpkg --report stereo.html
     """
     from geoposition.errors import ArgumentError
-    from geoposition.scripts import stereo_report, stereo_run
     from geoposition.scripts.results import print_facts, print_json, progress_bar
-    from geoposition.scripts.stereo_errors import StatedSigmas
+    from geoposition.scripts.stereo import report as stereo_report
+    from geoposition.scripts.stereo import run as stereo_run
+    from geoposition.scripts.stereo.errors import StatedSigmas
     from geoposition.scripts.tables import check_output
     from geoposition.scripts.tie_tables import (
         TIE_SUFFIXES,

@@ -84,8 +84,8 @@ def command(
     """
     from geoposition.errors import ArgumentError
     from geoposition.reimage.steady import SteadyOptions
-    from geoposition.scripts import reimage_run
-    from geoposition.scripts.reimage_input import AttitudeInput
+    from geoposition.scripts.reimage import run as reimage_run
+    from geoposition.scripts.reimage.input import AttitudeInput
     from geoposition.scripts.results import print_facts, print_json, progress_bar
     from geoposition.scripts.row_windows import Split
     from geoposition.sensors.readers import open_product

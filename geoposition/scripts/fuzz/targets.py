@@ -18,13 +18,13 @@ from geoposition.corrections import ALL_CORRECTIONS
 from geoposition.ephemeris import Ephemeris
 from geoposition.pushbroom import PushbroomModel
 from geoposition.rpc.formats import DIALECTS, read_rpc, write_rpc
-from geoposition.scripts.adjust_example import EXAMPLE as ADJUST_EXAMPLE
-from geoposition.scripts.adjust_input import read_run
+from geoposition.scripts.adjust.example import EXAMPLE as ADJUST_EXAMPLE
+from geoposition.scripts.adjust.input import read_run
 from geoposition.scripts.batch.plan import EXAMPLE as BATCH_EXAMPLE
 from geoposition.scripts.batch.plan import read_plan
 from geoposition.scripts.bench.scenes import synthetic_rpc
 from geoposition.scripts.control_files.formats import read_control_file
-from geoposition.scripts.evaluate_settings import Settings, scenes_of
+from geoposition.scripts.evaluate.settings import Settings, scenes_of
 from geoposition.scripts.tables import read_table
 from geoposition.scripts.tie_tables import read_ties
 from geoposition.sensors.directions import PolynomialDirections

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from geoposition.scripts.evaluate_run import SceneResult, evaluate_scene, write_results
-from geoposition.scripts.evaluate_settings import ListedScene, Settings, scenes_of
+from geoposition.scripts.evaluate.run import SceneResult, evaluate_scene, write_results
+from geoposition.scripts.evaluate.settings import ListedScene, Settings, scenes_of
 from geoposition.scripts.experiments.jitter.cases import LINE_S, Case
 from geoposition.scripts.results import unseen
 

@@ -11,13 +11,15 @@ import numpy as np
 from geoposition.arrays import FloatArray
 from geoposition.pushbroom import PushbroomModel
 from geoposition.reimage.raster_files import opened_image
-from geoposition.scripts import attitude_fusion, attitude_jitter, reimage_run
-from geoposition.scripts.attitude_input import Sources
+from geoposition.scripts.attitude import fusion as attitude_fusion
+from geoposition.scripts.attitude import jitter as attitude_jitter
+from geoposition.scripts.attitude.input import Sources
 from geoposition.scripts.experiments.jitter import files, truth
 from geoposition.scripts.experiments.jitter.cases import Case
 from geoposition.scripts.experiments.jitter.ground import Ground
 from geoposition.scripts.experiments.jitter.scene import Sighting
-from geoposition.scripts.reimage_input import AttitudeInput, jittered_model
+from geoposition.scripts.reimage import run as reimage_run
+from geoposition.scripts.reimage.input import AttitudeInput, jittered_model
 from geoposition.scripts.results import unseen
 from geoposition.sensors.attitude_determination.estimate import AttitudeEstimate
 from geoposition.sensors.attitude_determination.jitter.lines import Jitter

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final, TypeVar
 
-from geoposition.scripts import evaluate_run
+from geoposition.scripts.evaluate import run as evaluate_run
 from geoposition.scripts.experiments.jitter.accuracy import (
     evaluated,
     listed_scenes,

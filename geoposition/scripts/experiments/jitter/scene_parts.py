@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from geoposition.scripts import evaluate_figures
+from geoposition.scripts.evaluate import figures as evaluate_figures
 from geoposition.scripts.experiments.jitter import figures
 from geoposition.scripts.experiments.jitter.outcome import Outcome, Scene
 from geoposition.scripts.report import Block, Commands, Image, Note, Table, Text, number

@@ -13,10 +13,12 @@ import rasterio
 from geoposition.errors import GeometryError
 from geoposition.rpc.formats import write_rpc
 from geoposition.rpc.model import RpcModel
-from geoposition.scripts import dsm_run, stereo_report, stereo_run
+from geoposition.scripts import dsm_run
 from geoposition.scripts.experiments.real.size import Size
 from geoposition.scripts.experiments.real.sources import REUNION, VENTOUX
 from geoposition.scripts.results import unseen
+from geoposition.scripts.stereo import report as stereo_report
+from geoposition.scripts.stereo import run as stereo_run
 from geoposition.scripts.tie_tables import names_for, read_ties, write_ties
 from geoposition.sensors.readers import open_product
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from geoposition.scripts import stereo_figures
 from geoposition.scripts.experiments.real import figures
 from geoposition.scripts.experiments.real.beside import blocks_of
 from geoposition.scripts.experiments.real.outcome import Outcome
@@ -27,7 +26,8 @@ from geoposition.scripts.report import (
     number,
     provenance,
 )
-from geoposition.scripts.stereo_sections import degrees_of, found_rows
+from geoposition.scripts.stereo import figures as stereo_figures
+from geoposition.scripts.stereo.sections import degrees_of, found_rows
 from geoposition.scripts.surface_figures import surface_difference
 from geoposition.terrain import RasterTerrain
 

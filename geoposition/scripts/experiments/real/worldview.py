@@ -15,7 +15,8 @@ from geoposition.errors import ProductError
 from geoposition.pushbroom import PushbroomModel
 from geoposition.rpc.compare import Comparison
 from geoposition.rpc.formats import write_rpc
-from geoposition.scripts import adjust_run, rpc_compare_run, rpc_report, rpc_sources, stereo_run
+from geoposition.scripts import rpc_compare_run, rpc_report, rpc_sources
+from geoposition.scripts.adjust import run as adjust_run
 from geoposition.scripts.experiments.real.repeats import Repeats, repeat
 from geoposition.scripts.experiments.real.size import Size
 from geoposition.scripts.experiments.real.survey import (
@@ -30,7 +31,8 @@ from geoposition.scripts.experiments.real.survey import (
 )
 from geoposition.scripts.point_tables import write_ground
 from geoposition.scripts.results import unseen
-from geoposition.scripts.stereo_errors import StatedSigmas
+from geoposition.scripts.stereo import run as stereo_run
+from geoposition.scripts.stereo.errors import StatedSigmas
 from geoposition.scripts.tie_tables import read_checks, read_ties, write_ties
 from geoposition.sensors.readers import open_product
 from geoposition.sensors.writers.model_file import write_model_file

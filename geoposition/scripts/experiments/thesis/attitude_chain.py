@@ -10,9 +10,11 @@ from typing import Any, Final
 import numpy as np
 
 from geoposition.arrays import FloatArray
-from geoposition.scripts import attitude_cleaning, attitude_fusion, attitude_jitter
-from geoposition.scripts.attitude_checks import measure_axis_angles
-from geoposition.scripts.attitude_input import Sources, load
+from geoposition.scripts.attitude import cleaning as attitude_cleaning
+from geoposition.scripts.attitude import fusion as attitude_fusion
+from geoposition.scripts.attitude import jitter as attitude_jitter
+from geoposition.scripts.attitude.checks import measure_axis_angles
+from geoposition.scripts.attitude.input import Sources, load
 from geoposition.scripts.experiments.thesis.fusion import MISALIGNMENT_SIGMA
 from geoposition.scripts.experiments.thesis.scene import Scene
 from geoposition.scripts.experiments.thesis.telemetry import Instruments

@@ -21,7 +21,8 @@ from geoposition.attitude import Attitude
 from geoposition.calib_fields.synthetic_dom import synthetic_image
 from geoposition.matching import MatchOptions, match_images, open_image
 from geoposition.observations import ControlPoints
-from geoposition.scripts import adjust_run, dsm_run, stereo_run
+from geoposition.scripts import dsm_run
+from geoposition.scripts.adjust import run as adjust_run
 from geoposition.scripts.experiments.thesis.control import (
     GPS_SIGMA_M,
     IMAGE_SIGMA_PX,
@@ -35,6 +36,7 @@ from geoposition.scripts.experiments.thesis.scene import HEIGHTS_M, Scene
 from geoposition.scripts.experiments.thesis.telemetry import Telemetry
 from geoposition.scripts.point_tables import write_ground
 from geoposition.scripts.results import unseen
+from geoposition.scripts.stereo import run as stereo_run
 from geoposition.scripts.tables import whole_file
 from geoposition.scripts.tie_tables import read_checks, read_ties, write_ties
 from geoposition.sensors.readers import open_product

@@ -1,0 +1,1 @@
+"""Attitude from telemetry to fused curves: inputs, checks, fusion, jitter, reports."""

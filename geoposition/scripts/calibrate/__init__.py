@@ -1,0 +1,1 @@
+"""A camera calibrated on known ground: run, summary, report."""

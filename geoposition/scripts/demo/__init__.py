@@ -1,0 +1,1 @@
+"""The demonstration: a simulated three-line scene's files and report."""

@@ -1,0 +1,1 @@
+"""An image's accuracy on known ground: settings, run, report."""

@@ -1,0 +1,1 @@
+"""Intersection of image pairs: points, bias, checks against references, report."""
