@@ -7,8 +7,10 @@ files themselves are the affair of `sensors.readers.table_file` and `sensors.wri
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -28,6 +30,7 @@ __all__ = [
     "write_table",
 ]
 
+_DATE: Final = "OGR_CURRENT_DATE"
 VECTOR_DRIVERS = {".geojson": "GeoJSON", ".json": "GeoJSON", ".gpkg": "GPKG"}
 
 
@@ -61,7 +64,7 @@ def write_points(path: Path, columns: Mapping[str, Column]) -> None:
     table = arrow_table({name: values[kept] for name, values in columns.items()})
     geometry = pa.array(shapely.to_wkb(shapely.points(xyz)), pa.binary())
     table = table.append_column("geometry", geometry)
-    with whole_file(path) as temporary:
+    with whole_file(path) as temporary, _undated():
         pyogrio.write_arrow(
             table,
             temporary,
@@ -71,6 +74,19 @@ def write_points(path: Path, columns: Mapping[str, Column]) -> None:
             crs="EPSG:4979",
             layer=path.stem,
         )
+
+
+@contextmanager
+def _undated() -> Iterator[None]:
+    """Let GeoPackages carry no time of writing: the same table is the same bytes."""
+    import pyogrio
+
+    before = pyogrio.get_gdal_config_option(_DATE)
+    pyogrio.set_gdal_config_options({_DATE: before or "1970-01-01T00:00:00Z"})
+    try:
+        yield
+    finally:
+        pyogrio.set_gdal_config_options({_DATE: before})
 
 
 def check_output(path: Path, suffixes: Sequence[str] = ()) -> None:
