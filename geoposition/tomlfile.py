@@ -15,6 +15,7 @@ import numpy as np
 
 from geoposition.arrays import FloatArray
 from geoposition.errors import MissingFileError, ProductError
+from geoposition.named_files import is_there
 from geoposition.timescale import Epoch
 
 MAX_TOML_BYTES = 16 * 2**20
@@ -161,7 +162,7 @@ class TomlNode:
             self.refuse(key, "a path within this file's folder expected")
         if not path.is_relative_to(folder):
             self.refuse(key, "a path within this file's folder expected")
-        if not path.is_file():
+        if not is_there(path):
             raise MissingFileError(self.path, self.at(key), f"there is no file {name}")
         return path
 

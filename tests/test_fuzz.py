@@ -5,12 +5,19 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
+import numpy as np
 import pytest
+import rasterio
 
-from geoposition.errors import GeopositionError
+from geoposition.calib_fields.field import load_field
+from geoposition.errors import GeopositionError, ProductError
+from geoposition.scripts.control_files import read_control_file
 from geoposition.scripts.fuzz.campaign import Tally, feed, judge
 from geoposition.scripts.fuzz.mutations import MUTATIONS, Mutation, mutate
 from geoposition.scripts.fuzz.targets import Seed, Target, targets
+from geoposition.sensors.readers.dimap_files import volume_images
+from geoposition.terrain import RasterTerrain
+from geoposition.xmlfile import read_xml
 
 TARGETS = targets(None)
 SHORT = 60
@@ -74,3 +81,46 @@ def test_mutations_repeat_with_the_seed() -> None:
     found = [mutate(content, rng) for _ in range(50)]
     assert found == [mutate(content, again) for _ in range(50)]
     assert len(set(found)) > 25
+
+
+# What campaigns found ------------------------------------------------------------------------
+
+LONG = "A" * 300
+
+
+def test_a_file_named_beyond_what_systems_take_is_not_there(tmp_path: Path) -> None:
+    field = tmp_path / "field.toml"
+    field.write_text(f'[dem]\nfiles = ["{LONG}.tif"]\n')
+    with pytest.raises(GeopositionError, match="no such file"):
+        load_field(field)
+    volume = tmp_path / "VOL_PHR.XML"
+    volume.write_text(
+        "<Dimap_Document><Dataset_Content><Dataset_Components><Component>"
+        f'<COMPONENT_PATH href="DIM_{LONG}.XML"/>'
+        "</Component></Dataset_Components></Dataset_Content></Dimap_Document>"
+    )
+    with pytest.raises(GeopositionError, match="none of its images is there"):
+        volume_images(read_xml(volume))
+
+
+def test_names_of_attributes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "gcps.geojson"
+    path.write_bytes(
+        b'{"type":"FeatureCollection","features":[{"type":"Feature","properties":'
+        b'{"id":"g0","pro\xec\xbf\x13\xfa":1},"geometry":'
+        b'{"type":"Point","coordinates":[5.0,44.0,300.0]}}]}'
+    )
+    with pytest.raises(ProductError, match="UTF-8"):
+        read_control_file(path)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_lattice_of_heights_begins_somewhere(tmp_path: Path, bad: float) -> None:
+    path = tmp_path / "dem.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", width=8, height=8, count=1, dtype="float32",
+        crs="EPSG:4326", transform=rasterio.Affine(1e-3, 0.0, bad, 0.0, -1e-3, 45.0),
+    ) as file:  # fmt: skip
+        file.write(np.ones((1, 8, 8), dtype=np.float32))
+    with pytest.raises(ProductError, match="geotransform: finite"):
+        RasterTerrain(path)

@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from geoposition.errors import MissingFileError, ProductError
+from geoposition.named_files import is_there
 from geoposition.tomlfile import read_toml
 
 FIELD_FILE = "field.toml"
@@ -161,7 +162,7 @@ def _files(file: Path, table: Mapping[str, Any], name: str) -> tuple[Path, ...]:
             matches = [file.parent / item]
         found += matches
     for path in found:
-        if not path.exists():
+        if not is_there(path):
             raise MissingFileError(path, "", f"{file} names this raster, there is no such file")
     return tuple(found)
 
@@ -173,6 +174,6 @@ def _file(file: Path, table: Mapping[str, Any], name: str, key: str) -> Path | N
     if not isinstance(value, str):
         raise ProductError(file, f"{name}.{key}", "a file name expected")
     path = file.parent / value
-    if not path.is_file():
+    if not is_there(path):
         raise MissingFileError(path, "", f"{file} names this file, it is not there")
     return path

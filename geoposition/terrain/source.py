@@ -143,6 +143,9 @@ def open_lattice(paths: Sequence[str | PathLike[str]]) -> Lattice:
     if not paths:
         raise ArgumentError("terrain: at least one raster expected")
     headers = [_header(str(path)) for path in paths]
+    for header in headers:
+        if not np.all(np.isfinite(header.affine)):
+            raise ProductError(header.path, "geotransform", "finite numbers expected")
     first = headers[0]
     linear = first.affine[:, 1:]
     period = 0

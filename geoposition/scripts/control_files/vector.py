@@ -66,6 +66,8 @@ def read_vector(path: Path, crs: str | None) -> ControlFile:
         meta, ids, geometry, fields = pyogrio.raw.read(path, return_fids=True)
     except (DataSourceError, DataLayerError) as error:
         raise ProductError(path, "", f"a vector layer of points expected ({error})") from None
+    except UnicodeDecodeError:
+        raise ProductError(path, "", "names and texts in UTF-8 expected") from None
     table = dict(zip(meta["fields"], fields, strict=True))
     if geometry is None or not len(geometry):
         raise ProductError(path, "", "a layer with points expected, it has none")

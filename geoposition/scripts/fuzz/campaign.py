@@ -28,7 +28,9 @@ from geoposition.scripts.fuzz.targets import Seed, Target, targets
 from geoposition.scripts.results import Progress
 
 HANG_S: Final = 10.0
-"""An input that takes longer is a finding."""
+"""An input that takes more of the processor's time is a finding."""
+_STUCK_S: Final = 300.0
+"""One that waits so long is, too."""
 _PART: Final = 2_000
 _KEPT: Final = 5
 _TRIED: Final = 20
@@ -215,13 +217,17 @@ def _watched() -> Iterator[None]:
     def stop(number: int, frame: FrameType | None) -> None:
         raise _HangError
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, HANG_S)
+    # Of its own time: on a loaded machine everything takes long by the clock.
+    before = signal.signal(signal.SIGPROF, stop), signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_PROF, HANG_S)
+    signal.setitimer(signal.ITIMER_REAL, _STUCK_S)
     try:
         yield
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGPROF, before[0])
+        signal.signal(signal.SIGALRM, before[1])
 
 
 def save(keep: Path, tally: Tally) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geoposition.errors import MissingFileError, ProductError, UnsupportedError
+from geoposition.named_files import is_there
 from geoposition.product import Product
 from geoposition.rpc.formats import read_rpc
 from geoposition.rpc.model import RpcModel
@@ -215,4 +216,4 @@ def _tiles(support: Support, details: dict[str, object], notes: list[str]) -> Pa
         notes.append("image coordinates are the whole image's: tile coordinates plus its offsets")
         return None
     names = [*listed, *(support.path.stem + suffix for suffix in _IMAGE_SUFFIXES)]
-    return next((folder / name for name in names if (folder / name).is_file()), None)
+    return next((folder / name for name in names if is_there(folder / name)), None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 
 from geoposition.errors import MissingFileError, UnsupportedError
+from geoposition.named_files import is_there
 from geoposition.xmlfile import XmlNode
 
 
@@ -15,7 +16,7 @@ def referred_file(node: XmlNode) -> Path | None:
     if not href or relative.is_absolute() or ".." in relative.parts:
         return None
     path = node.path.parent / relative
-    return path if path.is_file() else None
+    return path if is_there(path) else None
 
 
 def volume_images(volume: XmlNode) -> list[Path]:

@@ -98,6 +98,7 @@ from geoposition.ephemeris import Ephemeris
 from geoposition.errors import ArgumentError, EarthOrientationError, GeometryError, SpanError
 from geoposition.frames import R_itrs_gcrs
 from geoposition.interpolation import LagrangeCurve
+from geoposition.named_files import is_there
 from geoposition.product import Product
 from geoposition.pushbroom import PushbroomModel
 from geoposition.sensors.line_camera import LineCamera
@@ -275,4 +276,4 @@ def _image(root: TomlNode) -> Path | None:
     if not name or "\0" in name or "://" in name or name.startswith("/vsi"):
         root.refuse("image", "the path of a file expected")
     path = root.path.parent / name
-    return path if path.is_file() else None
+    return path if is_there(path) else None
