@@ -16,6 +16,7 @@ from geoposition.scripts.experiments.jitter.report import build
 from geoposition.scripts.experiments.jitter.run import run as run_experiment
 from geoposition.scripts.report import render
 from geoposition.scripts.results import plain, print_json, progress_bar
+from geoposition.scripts.scratch import require_folder
 
 _MARK: Final = "jitter.json"
 """Written last: a folder with it holds a run that came to its end."""
@@ -58,8 +59,7 @@ def _folder(output: Path | None) -> Iterator[Path]:
         with TemporaryDirectory(prefix="geoposition-jitter-") as name:
             yield Path(name)
         return
-    if output.exists() and not output.is_dir():
-        raise ProductError(output, "", "a folder for the results expected, this is a file")
+    require_folder(output)
     new = not output.exists()
     ours = {path for pattern in _OURS for path in output.glob(pattern)}
     if not new and not (output / _MARK).is_file() and set(output.iterdir()) - ours:

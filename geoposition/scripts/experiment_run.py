@@ -11,6 +11,7 @@ from typing import Any
 from geoposition.errors import ProductError
 from geoposition.scripts.report import KeyFigure, Report, Section, Table, provenance, render
 from geoposition.scripts.results import plain, print_json, progress_bar
+from geoposition.scripts.scratch import require_folder
 from geoposition.scripts.tables import whole_file
 
 _TURNED = 3
@@ -90,8 +91,7 @@ def _print(name: str, result: Mapping[str, Any]) -> None:
 
 
 def _make(folder: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise ProductError(folder, "", "a folder for the results expected, this is a file")
+    require_folder(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from json import dumps
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from geoposition.errors import ProductError
+from geoposition.scripts.experiment_folder import experiment_folder
 from geoposition.scripts.results import plain, print_json, progress_bar, rounded
-from geoposition.scripts.tables import whole_file
 
+MARK: Final = "thesis.json"
 FULL_RUNS: Final = 200
 QUICK_RUNS: Final = 16
 
@@ -32,16 +30,14 @@ class Request:
 def run(wanted: Request, json: bool) -> None:
     """Do all of it; print the result, and fill the output folder if one is given."""
     begun = time.perf_counter()
-    if wanted.output is not None:
-        _make(wanted.output)
-    with ExitStack() as stack:
-        folder = wanted.output or Path(stack.enter_context(TemporaryDirectory(prefix="thesis-")))
+    with experiment_folder(wanted.output, MARK) as folder:
         result, text = _work(wanted, folder, json)
-        if wanted.output is not None:
-            _write(folder / "thesis.html", text)
-            # Without what differs from run to run, so that two runs of one seed are the same.
-            _write(folder / "thesis.json", dumps(result, indent=1, ensure_ascii=False))
-            result["output"] = str(folder)
+        (folder / "thesis.html").write_text(text, encoding="utf-8")
+        # Without what differs from run to run, so that two runs of one seed are the same.
+        found = dumps(result, indent=1, ensure_ascii=False)
+        (folder / MARK).write_text(found, encoding="utf-8")
+    if wanted.output is not None:
+        result["output"] = str(wanted.output)
     result["elapsed_s"] = round(time.perf_counter() - begun, 2)
     if json:
         print_json(result)
@@ -75,20 +71,6 @@ def _work(wanted: Request, folder: Path, quiet: bool) -> tuple[dict[str, Any], s
     }
     head = {"experiment": "thesis", "seed": wanted.seed}
     return head | rounded(plain(result)), page(done, tables, checks, made, folder, wanted.seed)
-
-
-def _make(folder: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise ProductError(folder, "", "a folder for the results expected, this is a file")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ProductError(folder, "", f"a writable folder expected ({error.strerror})") from None
-
-
-def _write(path: Path, text: str) -> None:
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def _print(result: dict[str, Any]) -> None:

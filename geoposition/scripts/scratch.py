@@ -21,6 +21,12 @@ from geoposition.scripts.file_locks import try_lock
 _LOCK: Final = ".lock"
 
 
+def require_folder(target: Path) -> None:
+    """Refuse a file where a folder is to be filled."""
+    if target.exists() and not target.is_dir():
+        raise ProductError(target, "", "a folder for the results expected, this is a file")
+
+
 @contextmanager
 def scratch_beside(target: Path) -> Iterator[Path]:
     """Give an empty folder on the same disk as `target`, and remove it in the end.

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from time import perf_counter
 
-from geoposition.errors import ProductError
 from geoposition.scripts.adjust.facts import facts_of
 from geoposition.scripts.adjust.files import write_models, write_points
 from geoposition.scripts.adjust.images import open_images
@@ -22,13 +21,12 @@ from geoposition.scripts.adjust.unknowns import (
     held_without_control,
 )
 from geoposition.scripts.results import Progress, plain
-from geoposition.scripts.scratch import made_in, publish_folder, scratch_beside
+from geoposition.scripts.scratch import made_in, publish_folder, require_folder, scratch_beside
 
 
 def run(path: Path, output: Path, progress: Progress) -> dict[str, object]:
     """Make everything in a folder beside `output`, then put it in its place; facts for JSON."""
-    if output.exists() and not output.is_dir():
-        raise ProductError(output, "", "a folder for the outputs expected, this is a file")
+    require_folder(output)
     request = read_run(path)
     begin = perf_counter()
     images = open_images(request.images, path)

@@ -2,15 +2,11 @@
 
 Both solve one problem: constant attitude biases of two images, 200 control points, and matches
 whose ground points are unknown too. SciPy's `least_squares` gets the same residuals and the same
-analytic derivatives, as a sparse Jacobian over biases and points. Run it alone with
-`python -m geoposition.scripts.bench.adjustment [matches]`.
+analytic derivatives, as a sparse Jacobian over biases and points.
 """
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -183,35 +179,3 @@ def by_scipy(case: Problem) -> FloatArray:
 
     found = least_squares(residuals, np.zeros(rows.size), jacobian, x_scale="jac", tr_solver="lsmr")
     return rows.theta(found.x)
-
-
-def seconds(run: Callable[[], FloatArray], times: int) -> tuple[float, FloatArray]:
-    """Best wall time of several runs, and what they found."""
-    best, found = np.inf, np.empty(0)
-    for _ in range(times):
-        start = time.perf_counter()
-        found = run()
-        best = min(best, time.perf_counter() - start)
-    return best, found
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the times, and how far the biases are from the planted ones and from each other."""
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    matches = int(given[0]) if given else MATCHES
-    case = problem(matches)
-    ours(problem(500))  # compiles
-    elapsed, found = seconds(lambda: ours(case), 3)
-    worst = np.max(np.abs(found - case.theta)) / ARCSEC_RAD
-    print(f"ours   {matches} matches: {elapsed:.2f} s (target {TARGET_S:g} s at {MATCHES})")
-    print(f"       largest error of a bias {worst:.3f} arcsec")
-    small = problem(min(matches, SCIPY_MATCHES))
-    elapsed_ours, found = seconds(lambda: ours(small), 3)
-    elapsed_scipy, other = seconds(lambda: by_scipy(small), 1)
-    apart = np.max(np.abs(found - other)) / ARCSEC_RAD
-    print(f"{len(small.ties) // 2} matches: ours {elapsed_ours:.2f} s, SciPy {elapsed_scipy:.2f} s")
-    print(f"       ratio {elapsed_scipy / elapsed_ours:.1f}, apart {apart:.4f} arcsec")
-
-
-if __name__ == "__main__":
-    main()

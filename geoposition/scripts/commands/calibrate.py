@@ -75,9 +75,9 @@ def command(
     from geoposition.scripts.calibrate import run as calibrate_run
     from geoposition.scripts.evaluate.settings import Settings
     from geoposition.scripts.results import print_facts, print_json, progress_bar
+    from geoposition.scripts.scratch import require_folder
 
-    if output.exists() and not output.is_dir():
-        raise ArgumentError(f"{output}: a folder expected, this is a file")
+    require_folder(output)
     if image is not None and (len(products) > 1 or hold_out):
         raise ArgumentError("--image: one scene expected; name the images of several in a RUN.toml")
     if camera is not None and not dom and field is None:

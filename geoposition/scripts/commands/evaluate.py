@@ -70,9 +70,9 @@ def command(
 
     Example: geoposition evaluate image.tif --dom dom.tif --dem dem.tif --geoid egm96.gtx -o out
     """
-    from geoposition.errors import ArgumentError
     from geoposition.scripts.evaluate import run as evaluate_run
     from geoposition.scripts.results import print_facts, print_json, progress_bar
+    from geoposition.scripts.scratch import require_folder
 
     given = evaluate_run.Settings(
         dom=tuple(dom or ()),
@@ -92,8 +92,7 @@ def command(
         line_period_s=line_period,
         dom_band=dom_band,
     )
-    if output.exists() and not output.is_dir():
-        raise ArgumentError(f"{output}: a folder expected, this is a file")
+    require_folder(output)
     with progress_bar("matching", json) as progress:
         summary = evaluate_run.run(product, given, output, progress)
     if json:

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from geoposition.arrays import FloatArray
-from geoposition.errors import GeometryError, ProductError
+from geoposition.errors import GeometryError
 from geoposition.product import Product
 from geoposition.pushbroom import PushbroomModel
 from geoposition.reimage.raster_files import opened_image
@@ -49,7 +49,7 @@ from geoposition.scripts.reimage.jitter import (
 from geoposition.scripts.reimage.models import Request, models_of
 from geoposition.scripts.results import Progress, plain
 from geoposition.scripts.row_windows import settings_of, windows_rows, written_window
-from geoposition.scripts.scratch import publish_folder, scratch_beside
+from geoposition.scripts.scratch import publish_folder, require_folder, scratch_beside
 
 __all__ = ["Request", "Run", "run"]
 
@@ -88,8 +88,7 @@ def run(product: Product, request: Request, progress: Progress) -> dict[str, obj
     if request.split.window is not None:
         return _window(product, request, progress)
     target = request.output
-    if target.exists() and not target.is_dir():
-        raise ProductError(target, "", "a folder for the outputs expected, this is a file")
+    require_folder(target)
     with scratch_beside(target) as scratch:
         made = _made(product, request, scratch, progress)
         publish_folder(scratch, target, _SUMMARY)
